@@ -123,7 +123,7 @@ site: $(READY)
 release: $(READY)
 	@$(BIN)/python -m tools.release $(PYTHONS:%=--python %)
 
-$(READY): pyproject.toml lab/pyproject.toml constraints.txt igtl_gateway/base/version.py hatch_build.py $(wildcard igtl_gateway/native/_*.[ch])
+$(READY): pyproject.toml lab/pyproject.toml constraints.txt igtl_gateway/base/version.py hatch_build.py $(shell find igtl_gateway -name "_*.[ch]")
 	@tools/setup.sh venv
 	@touch $@
 

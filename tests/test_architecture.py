@@ -35,7 +35,7 @@ TOP = ""
 LEVELS = {
     TOP: 1,
     "base": 1,  # what everything stands on
-    "native": 1,  # every part in C
+    "native": 1,  # the parts in C of the core
     "wire": 2,
     "gateway.log": 2,  # the session log
     "convert": 3,
@@ -258,7 +258,7 @@ UNMIRRORED = (
     "peers",
     "native/test_turns.py",  # turns of links in _passage.c
     "native/test_twins.py",  # rules that stand in Python and in C
-    "addons/resim/test_abi.py",  # native/_resim_abi.h
+    "addons/resim/test_abi.py",  # addons/resim/preload/_abi.h
     "addons/resim/test_programs.py",  # programs of every kind, 5 runs each
     "addons/resim/test_page.py",  # docs/how-to/resim.md
     "addons/resim/test_regressions.py",  # planted in a planner

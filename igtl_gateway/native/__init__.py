@@ -1,10 +1,9 @@
-"""Every part in C, and the headers that they share.
+"""The parts in C of the core, and the headers that they share.
 
 * ``_express``: conversions of compiled streams (`igtl_gateway.convert.express`).
 * ``_queue``: entries into the recorder's memory (`igtl_gateway.record.shared_queue`).
 * ``_chunk``: the recorder's rows to a chunk of MCAP (`igtl_gateway.record.sessionfile.chunk_rows`).
 * ``_passage``: the native passage (`igtl_gateway.native.passage`).
-* ``_resim``: no module, but preloaded into the programs of resim (`igtl_gateway.addons.resim`).
 
-A module of Python does the same as each of the first three; without a compiler, the passage and resim are missing.
+A module of Python does the same as each of the first three; without a compiler, the passage is missing.
 """

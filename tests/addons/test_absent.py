@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -22,7 +23,7 @@ from tests.places import FIXTURES, ROOT
 STAR, SMALL, OTHER = (FIXTURES / f"{name}.mcap" for name in ("star", "paper-types", "brain"))
 
 #: Runs verbs, given as lists of words, and imports all modules; prints code, stderr and what failed
-#: as JSON.  ``_resim`` is a preloaded library.
+#: as JSON.
 PROGRAM = """\
 import contextlib, importlib, io, json, pkgutil, sys
 import igtl_gateway
@@ -42,7 +43,7 @@ def run(words):
 
 def imported():
     for each in pkgutil.walk_packages(igtl_gateway.__path__, "igtl_gateway."):
-        if each.name.startswith("igtl_gateway.addons") or each.name.endswith(("__main__", "._resim")):
+        if each.name.startswith("igtl_gateway.addons") or each.name.endswith("__main__"):
             continue
         try:
             importlib.import_module(each.name)
@@ -152,3 +153,18 @@ def test_what_is_left_works_without_an_addon(addon: str, tmp_path: Path) -> None
     told = [run for run in ran[len(kept) :] if run[1][0] == 1 and run[1][1].count("\n") == 1]
     assert [run for run in told if "found no add-on" in run[1][1]] == ran[len(kept) :]
     assert found["left"] == []
+
+
+def test_the_c_of_an_addon_goes_with_its_folder() -> None:
+    """Without the add-ons, no line of C is left that only they need: each part has its module in the core."""
+    package = ROOT / "igtl_gateway"
+    lines = {path: path.read_text("utf-8").splitlines() for path in package.rglob("_*.[ch]")}
+    left = {path: text for path, text in lines.items() if not path.is_relative_to(package / "addons")}
+    owners = {path.relative_to(package).parts[1] for path in lines.keys() - left.keys()}
+    assert owners == {"resim"}
+    assert sum(len(text) for text in lines.values()) - sum(len(text) for text in left.values()) > 3_000
+    assert [line for text in left.values() for line in text for owner in owners if owner in line.lower()] == []
+    modules = [path for path in package.rglob("*.py") if not path.is_relative_to(package / "addons")]
+    code = "\n".join(path.read_text("utf-8") for path in modules)
+    for part in (path for path in left if path.suffix == ".c"):
+        assert re.search(rf"native(\.| import (\w+, )*|\", \"){part.stem}\b", code), part

@@ -1,4 +1,4 @@
-"""The frames between the coordinator and the library in a program; ``native/_resim.c`` has the same table.
+"""The frames between the coordinator and the library in a program; ``preload/_preload.c`` has the same table.
 
 A frame is its size (uint32, of what follows), a letter, and its fields without padding in the order of the machine.
 Times are session time in UTC ns.

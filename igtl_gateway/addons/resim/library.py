@@ -7,7 +7,7 @@ from pathlib import Path
 
 from igtl_gateway.addon import Unavailable
 
-_NAME = "_resim"
+_NAME = "_preload"
 
 
 def library_path() -> Path:
@@ -17,7 +17,7 @@ def library_path() -> Path:
         Unavailable: the package was installed without it: no C compiler, or not Linux.
     """
     suffix = sysconfig.get_config_var("EXT_SUFFIX") or ".so"
-    path = Path(__file__).parents[2] / "native" / f"{_NAME}{suffix}"
+    path = Path(__file__).with_name("preload") / f"{_NAME}{suffix}"
     if not path.is_file():
         raise Unavailable(
             f"resim: found no {path.name}, which needs Linux and a C compiler when igtl-gateway is installed"

@@ -12,7 +12,7 @@ from typing import Protocol
 from igtl_gateway.addons.resim import frames
 
 _SIZE = struct.Struct("=I")
-#: What the file of frames that are not sent begins with (`struct outbox` of ``native/_resim.c``): bytes before those
+#: What the file of frames that are not sent begins with (`struct outbox` of ``preload/_preload.c``): bytes before those
 #: here, bytes of complete frames here, and session time.
 _OUTBOX = struct.Struct("=QQq")
 #: How often it is read if the program sends meanwhile.

@@ -24,7 +24,7 @@ _FRAME = re.compile(r'  File "(?P<file>.+)", line (?P<line>[0-9]{1,9})')
 _OF_OTHERS = ("/site-packages/", "/dist-packages/", f"/python3.{sys.version_info.minor}/", "<frozen ")
 #: Seconds that a program has to end after the session, as after Ctrl-C.
 _END_S = 2.0
-#: The thread of the library that looks whether all others wait (`_resim_time.h`).
+#: The thread of the library that looks whether all others wait (`preload/_time.h`).
 _WATCHER = "igtl-resim"
 #: A library that each program of ROS 2 loads, and no launcher without it.
 _MIDDLEWARE = re.compile(r"librmw_\w+\.so")

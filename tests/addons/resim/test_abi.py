@@ -1,4 +1,4 @@
-"""The declarations of `_resim_abi.h` against the headers of the ROS wheels: sizes and places of all fields."""
+"""The declarations of `preload/_abi.h` against the headers of the ROS wheels: sizes and places of all fields."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ VALUES = {
 def test_the_declarations_are_those_of_ros(tmp_path: Path) -> None:
     lines = ["#include <stddef.h>", '#include "rmw/rmw.h"', '#include "rmw/names_and_types.h"']
     lines += ['#include "rosidl_runtime_c/type_description/type_source__struct.h"']
-    lines += ['#include "rosidl_runtime_c/service_type_support_struct.h"', '#include "_resim_abi.h"']
+    lines += ['#include "rosidl_runtime_c/service_type_support_struct.h"', '#include "_abi.h"']
     for (ours, theirs), fields in STRUCTS.items():
         lines.append(f'_Static_assert(sizeof(struct {ours}) == sizeof({theirs}), "{theirs}");')
         for field in fields.split():
@@ -77,7 +77,7 @@ def test_the_declarations_are_those_of_ros(tmp_path: Path) -> None:
     lines += [f'_Static_assert((int){ours} == (int){theirs}, "{theirs}");' for ours, theirs in VALUES.items()]
     source = tmp_path / "abi.c"
     source.write_text("\n".join(lines) + "\n")
-    includes = [f"-I{folder}" for folder in (ROOT / "igtl_gateway/native", *INCLUDE.iterdir())]
+    includes = [f"-I{folder}" for folder in (ROOT / "igtl_gateway/addons/resim/preload", *INCLUDE.iterdir())]
     result = subprocess.run(
         ["cc", "-fsyntax-only", *includes, str(source)], capture_output=True, text=True, check=False
     )

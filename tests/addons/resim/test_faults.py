@@ -120,7 +120,7 @@ def test_a_library_of_another_version_is_named(tmp_path: Path, monkeypatch: pyte
     recording = sessions.write(tmp_path / "in.mcap", sessions.texts(3))
     _, verdict = judged(recording, tmp_path, "faulty ends", runs=1)
     assert re.fullmatch(
-        rf"resim: found _resim\S*\.so of version {version}, expected {version + 1}: install igtl-gateway again, .*",
+        rf"resim: found _preload\S*\.so of version {version}, expected {version + 1}: install igtl-gateway again, .*",
         verdict.fault,
     )
 

@@ -1,11 +1,11 @@
-/* What _resim.c knows of the interface between rcl and its middleware (rmw), declared here so that it compiles without ROS.
+/* What _preload.c knows of the interface between rcl and its middleware (rmw), declared here so that it compiles without ROS.
  *
  * The layouts are those of ROS 2 Jazzy; tests/addons/resim/test_abi.py compares each with the headers of the ROS wheels.
  * Source documents: rmw/types.h, rmw/init.h, rmw/init_options.h, rmw/event.h, rmw/names_and_types.h,
  * rcutils/types/uint8_array.h, rcutils/types/string_array.h, rosidl_runtime_c/{message,service}_type_support_struct.h.
  */
-#ifndef IGTL_GATEWAY_RESIM_ABI_H
-#define IGTL_GATEWAY_RESIM_ABI_H
+#ifndef IGTL_GATEWAY_PRELOAD_ABI_H
+#define IGTL_GATEWAY_PRELOAD_ABI_H
 
 #include <stdbool.h>
 #include <stddef.h>

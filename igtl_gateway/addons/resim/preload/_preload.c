@@ -55,8 +55,8 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "_resim_abi.h"
-#include "_resim_time.h"
+#include "_abi.h"
+#include "_time.h"
 
 #define IDENTIFIER "rmw_fastrtps_cpp"
 #define ABI_VERSION 3
@@ -1171,4 +1171,4 @@ static void join_session(void)
     pthread_mutex_unlock(&once);
 }
 
-#include "_resim_rmw.h"
+#include "_rmw.h"

@@ -1,15 +1,21 @@
 /* The other processes of a program: launchers that started it, such as `ros2 run` or a shell, and what it or they have
- * started, such as the workers of a pool.  Included by _resim_time.h only.
+ * started, such as the workers of a pool.
  *
  * They take part in "quiet" as threads do: their CPU times are read, then the state of each of their threads, then the CPU
  * times again.  So a worker that computes an answer has it ready at the time of the question, and a helper that waits for
  * work holds nothing up.  A sleep passes in real time: a process that sleeps is not quiet, since it goes on by itself;
  * but of a launcher, whose sleep is how it looks whether the program still runs.
  */
-#ifndef IGTL_GATEWAY_RESIM_OTHERS_H
-#define IGTL_GATEWAY_RESIM_OTHERS_H
+#ifndef IGTL_GATEWAY_PRELOAD_OTHERS_H
+#define IGTL_GATEWAY_PRELOAD_OTHERS_H
+
+#include "_proc.h"
 
 enum { MOST_LAUNCHERS = 16 };
+
+/* Remarks of _preload.c. */
+static void found_real_wait_of(pid_t process, const char *call);
+static void found_other(pid_t process, bool is_computing);
 
 struct other_task {
     int process; /* its place in O.processes */
@@ -20,7 +26,7 @@ struct other_task {
     bool has_looked;
 };
 
-/* All of it is protected by `T.lock`, except for what is atomic. */
+/* All of it is protected by the lock of session time (`T.lock`), except for what is atomic. */
 static struct {
     pid_t launchers[MOST_LAUNCHERS]; /* from the parent upwards */
     int launcher_count;
@@ -220,8 +226,9 @@ static bool others_sleep(void)
     return true;
 }
 
-/* Whether nothing of the list goes on, after all have been seen asleep. */
-static bool others_rest(void)
+/* Whether nothing of the list goes on, after all have been seen asleep.  With clocks of session time, a wait that ends by
+ * real time is remarked. */
+static bool others_rest(bool has_session_clocks)
 {
     for (size_t i = 0; i < O.count; i++)
         if (cpu_ns_at(O.processes[i].clock) != O.processes[i].cpu_ns)
@@ -231,7 +238,7 @@ static bool others_rest(void)
         look_at_other_call(task);
         if (task->is_sleep && !O.processes[task->process].is_launcher)
             return false;
-        if (task->call && T.clocks != CLOCKS_REAL)
+        if (task->call && has_session_clocks)
             found_real_wait_of(O.processes[task->process].pid, task->call);
     }
     return true;

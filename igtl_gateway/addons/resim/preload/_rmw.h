@@ -1,9 +1,9 @@
-/* The functions of rmw that rcl calls; included by _resim.c only.
+/* The functions of rmw that rcl calls; included by _preload.c only.
  *
  * Those without state (serialisation, options, validation, features) are not here: rcl finds them in rmw_fastrtps_cpp.
  */
-#ifndef IGTL_GATEWAY_RESIM_RMW_H
-#define IGTL_GATEWAY_RESIM_RMW_H
+#ifndef IGTL_GATEWAY_PRELOAD_RMW_H
+#define IGTL_GATEWAY_PRELOAD_RMW_H
 
 typedef int32_t ret;
 
