@@ -188,23 +188,32 @@ def _segments(lines: Cells) -> Array:
     return _pieces(lines, _MIN_LINE, _line_segments)
 
 
-def _fan(points: int) -> Array:
-    """Return (n, 3) positions in a polygon: (0, 1, 2), (0, 2, 3), …"""
-    second = np.arange(1, points - 1)
-    return np.stack([np.zeros_like(second), second, second + 1], axis=1)
+def _fan(cells: Array) -> Array:
+    """Return (n, k, 3) points of the triangles of (n, points) polygons: 0 1 2, 0 2 3, …"""
+    cut = np.empty((len(cells), cells.shape[1] - 2, 3), cells.dtype)
+    cut[:, :, 0] = cells[:, :1]
+    cut[:, :, 1] = cells[:, 1:-1]
+    cut[:, :, 2] = cells[:, 2:]
+    return cut
 
 
-def _strip(points: int) -> Array:
-    """Return (n, 3) positions in a strip: (0, 1, 2), (2, 1, 3), (2, 3, 4), …"""
-    first = np.arange(points - 2)
-    odd = first % 2
-    return np.stack([first + odd, first + 1 - odd, first + 2], axis=1)
+def _strip(cells: Array) -> Array:
+    """Return (n, k, 3) points of the triangles of (n, points) strips: 0 1 2, 2 1 3, 2 3 4, …"""
+    cut = np.empty((len(cells), cells.shape[1] - 2, 3), cells.dtype)
+    cut[:, ::2, 0] = cells[:, :-2:2]
+    cut[:, ::2, 1] = cells[:, 1:-1:2]
+    cut[:, 1::2, 0] = cells[:, 2:-1:2]
+    cut[:, 1::2, 1] = cells[:, 1:-2:2]
+    cut[:, :, 2] = cells[:, 2:]
+    return cut
 
 
-def _line_segments(points: int) -> Array:
-    """Return (n, 2) positions in a polyline: (0, 1), (1, 2), …"""
-    first = np.arange(points - 1)
-    return np.stack([first, first + 1], axis=1)
+def _line_segments(cells: Array) -> Array:
+    """Return (n, k, 2) points of the segments of (n, points) polylines: 0 1, 1 2, …"""
+    cut = np.empty((len(cells), cells.shape[1] - 1, 2), cells.dtype)
+    cut[:, :, 0] = cells[:, :-1]
+    cut[:, :, 1] = cells[:, 1:]
+    return cut
 
 
 def _count(cells: Cells, size: int) -> int:
@@ -215,8 +224,8 @@ def _count(cells: Cells, size: int) -> int:
     return int(np.maximum(lengths - size + 1, 0).sum())
 
 
-def _pieces(cells: Cells, size: int, cut: Callable[[int], Array]) -> Array:
-    """Return (n, size) point indices: each cell split with the pattern ``cut(points of the cell)``, in their order.
+def _pieces(cells: Cells, size: int, cut: Callable[[Array], Array]) -> Array:
+    """Return (n, size) point indices: each cell as ``cut`` splits the cells of equal length, in their order.
 
     Cells of equal length are split together; cells that are too short are left out.  Raises ConversionError for more
     than MAX_PIECES pieces.
@@ -228,7 +237,9 @@ def _pieces(cells: Cells, size: int, cut: Callable[[int], Array]) -> Array:
         raise ConversionError(f"POLYDATA: found cells of {found:,} pieces, expected at most {MAX_PIECES:,}")
     if (table := cells.table) is not None:  # cells of equal length
         width = table.shape[1]
-        return table if width == size else table[:, cut(width)].reshape(-1, size)
+        if width == size:
+            return table
+        return cut(table).reshape(-1, size) if width > size else np.empty((0, size), table.dtype)
     starts = cells.starts()
     lengths = cells.data[starts].astype(np.int64)
     by_length = np.argsort(lengths, kind="stable")
@@ -237,10 +248,8 @@ def _pieces(cells: Cells, size: int, cut: Callable[[int], Array]) -> Array:
         length = int(lengths[which[0]])
         if length < size:
             continue
-        pattern = cut(length)
-        indices = cells.data[starts[which][:, None, None] + 1 + pattern[None]]
-        pieces.append(indices.reshape(-1, size))
-        order.append(np.repeat(which, len(pattern)))
+        pieces.append(cut(cells.data[starts[which][:, None] + np.arange(1, length + 1)]).reshape(-1, size))
+        order.append(np.repeat(which, length - size + 1))
     if not pieces:
         return np.empty((0, size), np.int64)
     if len(pieces) == 1:
