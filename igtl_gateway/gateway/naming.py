@@ -66,6 +66,10 @@ class SharedNames:
         self._streams = _Senders()
         self._frames = _Senders()
 
+    def knows(self, stream: str, link: int) -> bool:
+        """Return whether a stream came from a link before."""
+        return self._streams.knows(stream, link, "")
+
     def stream(self, stream: str, link: int, topics: tuple[str, ...] = ()) -> list[Finding]:
         """Return the finding for the first message of a stream from a link while another link sends it, too."""
         others = self._streams.before(stream, link, "")
@@ -111,11 +115,15 @@ class _Senders:
         self._of_link: dict[int, set[str]] = {}
         self._count = 0
 
+    def knows(self, name: str, link: int, text: str) -> bool:
+        """Return whether a name has this sender."""
+        return (link, text) in self._known.get(name, ())
+
     def before(self, name: str, link: int, text: str) -> list[tuple[int, str]]:
         """Return the other senders of a name, and add this one; nothing if it is known, or there are too many."""
-        known = self._known.get(name, ())
-        if (link, text) in known or self._count >= MAX_NAMES:
+        if self.knows(name, link, text) or self._count >= MAX_NAMES:
             return []
+        known = self._known.get(name, ())
         self._count += 1
         self._known[name] = [*known, (link, text)]
         self._of_link.setdefault(link, set()).add(name)

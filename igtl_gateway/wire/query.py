@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from struct import Struct
 from typing import Any, ClassVar
 
@@ -342,6 +343,7 @@ QUERIES: dict[str, type[Body]] = {
 QUERY_ALIASES = {f"{prefix}_TRANSFOR": f"{prefix}_TRANS" for prefix in PREFIXES}
 
 
+@lru_cache(maxsize=256)
 def split_query(type_name: str) -> tuple[str, str] | None:
     """Prefix and type of the data of a query, known or not; None for every other type name.
 
@@ -354,6 +356,7 @@ def split_query(type_name: str) -> tuple[str, str] | None:
     return prefix, _LONG.get(name, name)
 
 
+@lru_cache(maxsize=256)
 def is_dialogue(type_name: str) -> bool:
     """Whether a type is part of a conversation, and not data: queries and their replies, commands, states."""
     return type_name in ("COMMAND", "RTS_COMMAND", "STATUS", "CAPABILITY") or split_query(type_name) is not None

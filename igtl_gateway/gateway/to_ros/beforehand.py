@@ -10,7 +10,8 @@ nothing of this.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
+from operator import attrgetter
 from typing import Any
 
 from igtl_gateway.base.buffers import Buffer
@@ -149,8 +150,7 @@ class Beforehand:
         results.pieces[id(content)] = piece
         stream = self._streams.foreseen(visible(message.type), restored.device_name)
         frame_id = stream.row.frame_id or restored.frame_id or stream.frame_id
-        to = piece.to = _alone(context_of(self._config, self._streams, stream, message, restored, frame_id, link, 0))
-        shared = replace(to, made={})
+        to = piece.to = context_of(self._config, self._streams, stream, message, restored, frame_id, link, 0)
         for row, topic in stream.outputs:
             if (
                 (takes_long or row.convert in LONG)
@@ -159,8 +159,8 @@ class Beforehand:
                 and row.applies(content)
                 and self._subscribers.has(topic, row.message.TYPE)
             ):
-                self._convert(piece, row, content, replace(shared, warnings=[]))
-        piece.shared = {name: one for name, one in shared.made.items() if name == tracking.TOOLS}
+                self._convert(piece, row, content, to)
+        piece.shared = {name: one for name, one in to.made.items() if name == tracking.TOOLS}
         if takes_long and to.metadata and self._subscribers.has(stream.metadata_topic, Metadata.TYPE):
             piece.metadata = Packed.of(metadata_message(to))
         if isinstance(content, Bind):
@@ -174,16 +174,17 @@ class Beforehand:
             return Piece(error)
         return self._piece(results, inner, its, link, takes_long=True)
 
-    def _convert(self, piece: Piece, row: ConversionToRos, content: Body, one: ToRosContext) -> None:
+    def _convert(self, piece: Piece, row: ConversionToRos, content: Body, to: ToRosContext) -> None:
+        begin = len(to.warnings)
         try:
-            converted = row.convert(content, one)
+            converted = row.convert(content, to)
         except ConversionError as error:
-            piece.made[row.convert] = error, one.warnings
+            piece.made[row.convert] = error, to.warnings[begin:]
             return
         messages = converted if isinstance(converted, list) else [converted]
         piece.messages[row.convert] = messages[0]
         if all(_is_patched(message) for message in messages):
-            piece.made[row.convert] = [Packed.of(message) for message in messages], one.warnings
+            piece.made[row.convert] = [Packed.of(message) for message in messages], to.warnings[begin:]
 
     # ── with the sequence lock ────────────────────────────────────────────────────────────────────────────────
 
@@ -214,7 +215,7 @@ class Beforehand:
         Raises ConversionError.
         """
         piece = self._piece_of(content)
-        if piece is None or (not piece.made and not piece.shared) or _alone(to) != piece.to:
+        if piece is None or (not piece.made and not piece.shared) or not _are_alike(to, piece.to):
             return None
         if row.convert not in piece.made:
             to.made.update(piece.shared)
@@ -228,7 +229,7 @@ class Beforehand:
     def metadata(self, content: object, to: ToRosContext) -> Packed | None:
         """Return the message of the sender's metadata; None: it was not made with this content and context."""
         piece = self._piece_of(content)
-        if piece is None or piece.metadata is None or _alone(to) != piece.to:
+        if piece is None or piece.metadata is None or not _are_alike(to, piece.to):
             return None
         return _stamped(piece.metadata, to.stamp_ns)
 
@@ -274,10 +275,14 @@ def _stamped(message: Packed, stamp_ns: int) -> Packed:
     Header(stamp_ns).write(head)
     stamp = head.finish()[:_STAMP_END]
     if len(message.cdr) >= _LARGE_BYTES:
-        return replace(message, head=stamp)
+        return Packed(message.TYPE, message.cdr, stamp)
     return Packed(message.TYPE, stamp + message.cdr[_STAMP_END:])
 
 
-def _alone(to: ToRosContext) -> ToRosContext:
-    """Return a context without its stamp, and without what other conversions have left in it."""
-    return replace(to, stamp_ns=0, warnings=[], made={})
+#: What a conversion depends on: all but the stamp, and what conversions leave in the context.
+_DEPENDS = attrgetter(*(one.name for one in fields(ToRosContext) if one.name not in ("stamp_ns", "warnings", "made")))
+
+
+def _are_alike(one: ToRosContext, other: ToRosContext | None) -> bool:
+    """Return whether conversions have the same results in both contexts, apart from the stamp."""
+    return other is not None and bool(_DEPENDS(one) == _DEPENDS(other))

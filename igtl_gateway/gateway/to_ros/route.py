@@ -110,7 +110,8 @@ class Router:
         source_ns = restored.stamp_ns or ticks_to_ns(message.ticks)
         if frame_id is None:
             frame_id = stream.row.frame_id or restored.frame_id or self._frame_of(message, link) or stream.frame_id
-        to = context_of(self._config, self._streams, stream, message, restored, frame_id, link, entry.stamp_ns)
+        stamp_ns = self._config.pick_stamp(stream.row, source_ns, entry.stamp_ns)
+        to = context_of(self._config, self._streams, stream, message, restored, frame_id, link, stamp_ns)
         found: list[Item] = []
         name = (
             entry.channel if entry.payload else f"{igtl_type}/{restored.device_name}"
@@ -145,6 +146,8 @@ class Router:
             return []
         known = restored.is_of_gateway or restored.device_name != visible(message.device_name)
         cut = cut_name(name, message.device_name, known=known) if entry.payload else []
+        if shared.knows(name, entry.links[0]):
+            return cut
         topics = tuple(dict.fromkeys(topic for row, topic in stream.outputs if not row.topic))
         return [*cut, *shared.stream(name, entry.links[0], topics)]
 

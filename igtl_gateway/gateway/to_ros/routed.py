@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from igtl_gateway.base.stamp import ticks_to_ns
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.names import short_device_name
@@ -24,13 +23,12 @@ def context_of(
     restored: RestoredMetadata,
     frame_id: str,
     link: int,
-    received_ns: int,
+    stamp_ns: int,
 ) -> ToRosContext:
-    """Return the context of the conversions of a message from a link, received at ``received_ns`` (gateway time)."""
-    source_ns = restored.stamp_ns or ticks_to_ns(message.ticks)
+    """Return the context of the conversions of a message from a link, with this stamp for the ROS headers."""
     return ToRosContext(
         restored.device_name,
-        config.pick_stamp(stream.row, source_ns, received_ns),
+        stamp_ns,
         frame_id,
         stream.row.child_frame_id or restored.child_frame_id or stream.child_frame_id,
         stream.lengths,
