@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import struct
+import sys
+import threading
+import time
 import tracemalloc
 
 import numpy as np
 import pytest
 
+from igtl_gateway.base.buffers import MANY_BYTES, join_in_steps
 from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.convert import cdr
 from igtl_gateway.convert.cdr import CdrReader, CdrWriter
+from igtl_gateway.convert.express import COMPILED
 
 LITTLE, BIG = b"\x00\x01\x00\x00", b"\x00\x00\x00\x00"
 
@@ -31,6 +37,36 @@ def test_golden_bytes() -> None:
         + b"\2\0\0\0" + b"\1\0\2\0"
         + b"\3\0\0\0xyz"
     )  # fmt: skip
+
+
+def test_many_bytes_are_the_same_in_any_way() -> None:
+    parts = [b"\0" * 3, memoryview(bytes(range(256)) * (MANY_BYTES >> 8)), b"", bytearray(b"end")]
+    assert cdr.join_parts(parts) == join_in_steps(parts) == b"".join(parts)
+
+
+@pytest.mark.skipif(not COMPILED, reason="without the C part, bytes are joined in steps, by one thread at a time")
+def test_other_threads_run_while_many_bytes_are_joined() -> None:
+    """No thread is made to give the interpreter up here: only who does not need it gives others a turn."""
+    out, turns, ends = CdrWriter(), [0], threading.Event()
+    out.octets(bytes(16 * MANY_BYTES))
+
+    def run() -> None:
+        while not ends.is_set():
+            turns[0] += 1
+            time.sleep(0)
+
+    other, interval = threading.Thread(target=run), sys.getswitchinterval()
+    other.start()
+    sys.setswitchinterval(1000)
+    try:
+        before = turns[0]
+        out.finish()
+        after = turns[0]
+    finally:
+        sys.setswitchinterval(interval)
+        ends.set()
+        other.join()
+    assert after > before
 
 
 def test_an_empty_sequence_needs_no_alignment() -> None:

@@ -116,16 +116,15 @@ class FastPath:
         """Return the entries of the compiled stream, if there is one that fits the message; see ``FastHandler``."""
         entries: list[Entry] | None = None
         native = self.native
-        self._beforehand.results = prepared if isinstance(prepared, Results) else None
-        self._ros_beforehand.results = prepared if isinstance(prepared, RosResults) else None
-        stream, made = prepared if isinstance(prepared, tuple) else (None, None)
+        stream, made = (None, None) if prepared is None else self._ready(prepared)
         if kind is Kind.ROS_IN:
             topic_key = (channel, type_name)
             if to_igtl := self.to_igtl.get(topic_key):
                 if native:
                     native.collect(topic_key, to_igtl)
-                ready = made if stream is to_igtl else None
-                entries = to_igtl(seq, stamp_ns, payload, channel, type_name, source_ns, ready)
+                if not isinstance(prepared, RosResults):  # else it was found not to fit
+                    ready = made if stream is to_igtl else None
+                    entries = to_igtl(seq, stamp_ns, payload, channel, type_name, source_ns, ready)
                 if entries is None:
                     self._drop(self.to_igtl, topic_key)
                 elif native and entries:
@@ -135,8 +134,11 @@ class FastPath:
             if to_ros := self.to_ros.get(device_key):
                 if native:
                     native.collect(device_key, to_ros)
-                ready = made if stream is to_ros else None
-                entries = to_ros(seq, stamp_ns, payload, links, self._subscribers.ask, ready)
+                ask = self._subscribers.ask
+                if isinstance(prepared, Results):
+                    entries = to_ros.left(payload, ask)
+                else:
+                    entries = to_ros(seq, stamp_ns, payload, links, ask, made if stream is to_ros else None)
                 if entries is None:
                     self._drop(self.to_ros, device_key)
                 elif native and entries:
@@ -144,6 +146,16 @@ class FastPath:
         if native and not entries:
             native.collect_all()
         return entries
+
+    def _ready(self, prepared: Prepared) -> tuple[Any, Any]:
+        """Have what was prepared for the full path there; return what was prepared for a compiled stream."""
+        if isinstance(prepared, tuple):
+            return prepared
+        if isinstance(prepared, Results):
+            self._beforehand.results = prepared
+        else:
+            self._ros_beforehand.results = prepared
+        return None, None
 
     def prepare(
         self,
@@ -159,20 +171,23 @@ class FastPath:
         The result is for ``take``, which uses it if the stream is the same then.
         """
         is_large = len(payload) >= LARGE_BYTES or (kind is Kind.IGTL_IN and cost_ns(payload) >= AT_ONCE_NS)
+        made: tuple[Any, ...] | bool
         if kind is Kind.ROS_IN:
             to_igtl = self.to_igtl.get((channel, type_name))
-            if to_igtl is None:
+            made = to_igtl is None or (is_large and to_igtl.prepare((payload,), source_ns))
+            if to_igtl and isinstance(made, tuple):
+                return to_igtl, made
+            if made:
                 with suppress(Exception):  # the full path meets it as well, and notes it
                     return self._ros_beforehand.work(channel, type_name, payload)
-            elif is_large and (for_igtl := to_igtl.prepare((payload,), source_ns)):
-                return to_igtl, for_igtl
         elif kind is Kind.IGTL_IN and len(payload) >= HEADER_SIZE:
             to_ros = self.to_ros.get((links[0], bytes(payload[NAMES])))
-            if to_ros is None:
+            made = to_ros is None or (is_large and to_ros.prepare((payload,), self._subscribers.ask))
+            if to_ros and isinstance(made, tuple):
+                return to_ros, made
+            if made:
                 with suppress(Exception):  # the full path meets it as well, and notes it
                     return self._beforehand.work(payload, links[0])
-            elif is_large and (for_ros := to_ros.prepare((payload,), self._subscribers.ask)):
-                return to_ros, for_ros
         return None
 
     def collect(self) -> None:

@@ -70,10 +70,17 @@ class CompiledToIgtl:
         self._place, self._place_at = _PLACE if place_at else None, place_at or 0
         self.is_pose = place_at is not None
 
-    def prepare(self, payload: Sequence[Buffer], source_ns: int) -> tuple[Any, ...] | None:
-        """Convert a message before it has a number; None if the result depends on its gateway time."""
-        made = self._convert(payload, source_ns, _NO_TIME) if self.own else None
-        return made if made and made[0] != _NO_TIME else None
+    def prepare(self, payload: Sequence[Buffer], source_ns: int) -> tuple[Any, ...] | bool:
+        """Convert a message before it has a number; else return whether the full path has to convert it.
+
+        False: the result depends on its gateway time.
+        """
+        if not self.own:
+            return False
+        made = self._convert(payload, source_ns, _NO_TIME)
+        if made is None:
+            return True
+        return made if made[0] != _NO_TIME else False
 
     def _convert(self, payload: Sequence[Buffer], source_ns: int, stamp_ns: int) -> tuple[Any, ...] | None:
         return self._fill(

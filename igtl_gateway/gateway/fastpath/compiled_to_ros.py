@@ -12,7 +12,7 @@ from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.assembly import Form, VolumeAssembler
 from igtl_gateway.convert.express import FillTemplate
-from igtl_gateway.convert.rosmsg import Image, PointCloud2
+from igtl_gateway.convert.rosmsg import Image, Marker, Mesh, PointCloud2
 from igtl_gateway.gateway.fastpath.tools import has_tools
 from igtl_gateway.gateway.guarded_stream import GuardedStream
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -33,8 +33,9 @@ Prepared = tuple[Outputs, tuple[Any, ...]]
 
 #: Gateway time (UTC ns) that no message has, in place of one that is not known yet.
 _NO_TIME = 0
-#: ROS types that begin with their only stamp, and its place in CDR.
-_HEADED = frozenset({Image.TYPE, PointCloud2.TYPE})
+#: ROS types that begin with the only stamp that is set, and its place in CDR; and one without any.
+_HEADED = frozenset({Image.TYPE, PointCloud2.TYPE, Marker.TYPE})
+_STAMPLESS = Mesh.TYPE
 _STAMP, _STAMP_AT = struct.Struct("<iI"), 4
 #: The translation in OpenIGTLink.
 _PLACE = struct.Struct(">3f")
@@ -98,7 +99,7 @@ class CompiledToRos:
         self._defer = defer
         self._passed_over = passed_over
         self.keeps = volume is not None
-        self._is_patched = all(ros_type in _HEADED for _, ros_type, _ in forms)
+        self._is_patched = all(ros_type in _HEADED or ros_type == _STAMPLESS for _, ros_type, _ in forms)
 
     @property
     def depends(self) -> bool:
@@ -127,18 +128,23 @@ class CompiledToRos:
         if self._passed_over is not None:
             self._passed_over(messages)
 
-    def prepare(self, payload: Sequence[Buffer], ask: HasSubscriber | None) -> Prepared | None:
-        """Convert a message before it has a number; None if the result depends on others.
+    def prepare(self, payload: Sequence[Buffer], ask: HasSubscriber | None) -> Prepared | bool:
+        """Convert a message before it has a number; else return whether the full path has to convert it.
 
-        Where its stamp is gateway time, it gets that later: ``_stamped``.
+        False: the result depends on others.  Where its stamp is gateway time, it gets that later: ``_stamped``.
         """
-        if not self.own or self._latched:
-            return None
         outputs = self._wanted(ask)
-        if not outputs:
-            return None
-        made = self._convert(payload, outputs, _NO_TIME)
-        return (outputs, made) if made and (made[1] != _NO_TIME or self._is_patched) else None
+        made = self._convert(payload, outputs, _NO_TIME) if outputs else None
+        if made is None:
+            return True
+        return (outputs, made) if made[1] != _NO_TIME or self._is_patched else False
+
+    def left(self, payload: Sequence[Buffer], ask: HasSubscriber | None) -> list[Entry] | None:
+        """Return what a call returns for a message that ``prepare`` has left to the full path."""
+        if not self._wanted(ask):
+            return []
+        at, tail = self.places
+        return [] if has_tools(self._forms, memoryview(payload[0])[at : len(payload[0]) - tail]) else None
 
     def _wanted(self, ask: HasSubscriber | None) -> Outputs:
         """Return the outputs that have a subscriber."""
@@ -162,7 +168,9 @@ class CompiledToRos:
 
         ``prepared``: result of ``prepare``.
         """
-        outputs = prepared[0] if prepared else self._wanted(ask)
+        outputs = self._wanted(ask)
+        if prepared and [one[0] for one in prepared[0]] != [one[0] for one in outputs]:
+            prepared = None  # a subscriber has come or gone since
         later: frozenset[str] = frozenset()
         if ask is not None:
             if self._latched:
@@ -176,10 +184,9 @@ class CompiledToRos:
             return []
         made = prepared[1] if prepared else self._convert(payload, outputs, stamp_ns)
         if made is None:
-            at, tail = self.places
-            return [] if has_tools(self._forms, payload[0][at : len(payload[0]) - tail]) else None
+            return self.left(payload, ask)
         if prepared and made[1] == _NO_TIME:
-            made = _stamped(made, stamp_ns)
+            made = _stamped(made, outputs, stamp_ns)
         source_ns, shown_ns = made[0], made[1]
         watched = self.watched
         if watched is not None and not watched.passes_quickly(
@@ -208,10 +215,13 @@ class CompiledToRos:
         return entries
 
 
-def _stamped(made: tuple[Any, ...], stamp_ns: int) -> tuple[Any, ...]:
+def _stamped(made: tuple[Any, ...], outputs: Outputs, stamp_ns: int) -> tuple[Any, ...]:
     """Return what was made without a time, with gateway time: each message as two buffers, so that none is copied."""
     stamp, end = _STAMP.pack(*_seconds(stamp_ns)), _STAMP_AT + _STAMP.size
-    parts = (None if cdr is None else (bytes(cdr[:_STAMP_AT]) + stamp, memoryview(cdr)[end:]) for cdr in made[2:])
+    parts = (
+        cdr if cdr is None or ros_type == _STAMPLESS else (bytes(cdr[:_STAMP_AT]) + stamp, memoryview(cdr)[end:])
+        for (_, ros_type, _, _), cdr in zip(outputs, made[2:], strict=True)
+    )
     return made[0], stamp_ns, *parts
 
 

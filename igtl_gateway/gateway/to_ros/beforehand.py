@@ -56,7 +56,10 @@ _WITHOUT_STAMP = frozenset(
 )
 
 _STAMP_END = 12  # of CDR that begins with a header
+#: From here on a message gets its stamp without a copy of its bytes.
 _LARGE_BYTES = 64 << 10
+#: A picture is only copied, which takes a millisecond from here on.
+_LONG_BYTES = 1 << 20
 
 
 _Made = tuple[Sequence[Packed] | ConversionError, list[tuple[str, str]]]
@@ -134,7 +137,7 @@ class Beforehand:
         restored = restore_metadata(message, self._config.naming)
         results = Results(payload, message, restored)
         piece = self._piece(
-            results, message, restored, link, takes_long=cost_ns(payload) >= AT_ONCE_NS or len(payload) >= _LARGE_BYTES
+            results, message, restored, link, takes_long=cost_ns(payload) >= AT_ONCE_NS or len(payload) >= _LONG_BYTES
         )
         if piece.to and not piece.made and isinstance(message.content, Raw):
             piece.raw = Packed.of(raw_message(payload, 0, link))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import count
 
 import pytest
@@ -21,9 +22,12 @@ from igtl_gateway.gateway.session import make_core
 from igtl_gateway.gateway.to_ros import beforehand
 from igtl_gateway.gateway.to_ros.beforehand import LONG
 from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.cost import AT_ONCE_NS, cost_ns
 from igtl_gateway.wire.message import Item
 from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway_lab.simulate.every_igtl import contents
+from tests.costly import TABLE, Costly
+from tests.tables import table
 
 TIMEOUT_S = 20.0
 T0_NS = 1_800_000_000 * NS_PER_S
@@ -77,6 +81,29 @@ def test_outputs_are_those_of_the_full_path(
         logs.append(log)
     assert logs[0] == logs[1]
     assert used > len(LONG)  # not nothing
+
+
+@table("row", TABLE, ids=lambda row: row.name)
+@pytest.mark.parametrize("with_subscribers", [False, True], ids=["recorded", "live"])
+def test_messages_unlike_the_compiled_stream_before_them(row: Costly, with_subscribers: bool) -> None:
+    """A stream of small messages is compiled; a large one that follows is prepared for the way that it takes."""
+    few, many = row.data(2), row.data(min(row.most, 4_000))
+    logs: list[list[Entry]] = []
+    for early in (False, True):
+        core = make_core(Config())
+        if with_subscribers:
+            core.has_subscriber = lambda topic, _type: "marker" not in topic
+        session, log = Session(core), []
+        link_up(session, 1)
+        for step, data in enumerate((few, few, many, many, few, many)):
+            prepared = session.prepare(Kind.IGTL_IN, data, "", "", (1,), 0) if early else None
+            if early and data is many and cost_ns(data) >= AT_ONCE_NS:
+                assert prepared is not None
+            log += session.input(T0_NS + step * 1_000_000, Kind.IGTL_IN, (data,), links=(1,), prepared=prepared)
+        logs.append(log)
+    assert len(logs[0]) == len(logs[1])
+    for one, other in zip(*logs, strict=True):  # the bytes may come in two buffers
+        assert replace(one, payload=(join(one.payload),)) == replace(other, payload=(join(other.payload),))
 
 
 def test_results_for_another_message_are_not_used() -> None:
