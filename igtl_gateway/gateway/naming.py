@@ -86,6 +86,8 @@ class SharedNames:
         for one in message.transforms:
             parent, child = frame_id(one.header.frame_id), frame_id(one.child_frame_id)
             others = self._frames.before(child, link, f"{parent}\0{stream}")
+            if not others:
+                continue
             places = [(known, *text.split("\0", 1)) for known, text in others]
             # a tool that one peer sends in two ways is one tool; two peers with one stream have their own finding
             if why := [(its, at) for known, its, at in places if its != parent or (known != link and at != stream)]:

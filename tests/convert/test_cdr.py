@@ -11,7 +11,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from igtl_gateway.base.buffers import MANY_BYTES, join_in_steps
+from igtl_gateway.base.buffers import MANY_BYTES, Buffer, join_in_steps
 from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert import cdr
 from igtl_gateway.convert.cdr import CdrReader, CdrWriter
@@ -40,8 +40,9 @@ def test_golden_bytes() -> None:
 
 
 def test_many_bytes_are_the_same_in_any_way() -> None:
-    parts = [b"\0" * 3, memoryview(bytes(range(256)) * (MANY_BYTES >> 8)), b"", bytearray(b"end")]
-    assert cdr.join_parts(parts) == join_in_steps(parts) == b"".join(parts)
+    parts: list[Buffer] = [b"\0" * 3, memoryview(bytes(range(256)) * (MANY_BYTES >> 8)), b"", bytearray(b"end")]
+    joined = cdr.join_parts(parts)  # type: ignore[attr-defined]
+    assert joined == join_in_steps(parts) == b"".join(parts)
 
 
 @pytest.mark.skipif(not COMPILED, reason="without the C part, bytes are joined in steps, by one thread at a time")
