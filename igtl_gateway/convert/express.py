@@ -57,9 +57,9 @@ def pose_to_ros(
     own: bool,
     received_ns: int,
     ratio: tuple[float, float],
-    forms: tuple[tuple[bytes, int], ...],
+    forms: tuple[tuple[bytes, int] | tuple[bytes, int, int], ...],
 ) -> tuple[Any, ...] | None:
-    """Convert a TRANSFORM or POSITION to ROS messages that end with a pose.
+    """Convert a TRANSFORM or POSITION to ROS messages that end with a pose, and to one of its metadata.
 
     Args:
         data: one whole message; the result is None for types other than ``bytes``.
@@ -68,7 +68,7 @@ def pose_to_ros(
         check_crc: whether the CRC is checked.
         own: whether the ROS stamp is the message's own stamp (``received_ns`` if unset) or ``received_ns``; UTC ns.
         ratio: lengths are multiplied by the first and divided by the second number.
-        forms: CDR templates, each with the offset of its stamp.
+        forms: CDR templates, each with the offset of its stamp; of the metadata, also with that of the message id.
 
     Returns:
         The message's own stamp (UTC ns), the ROS stamp (UTC ns), and the CDR bytes of each form; None if the message
@@ -103,10 +103,15 @@ def pose_to_ros(
     source_ns = ticks_to_ns(U64.unpack_from(data, TICKS_AT)[0])
     stamp_ns = source_ns if own and source_ns > 0 else received_ns
     stamp = _STAMP.pack(*ns_to_ros(stamp_ns))
-    made = [
-        template[:stamp_at] + stamp + template[stamp_at + _STAMP.size : -_POSE.size] + pose
-        for template, stamp_at in forms
-    ]
+    made = []
+    for template, stamp_at, *id_at in forms:
+        out = bytearray(template)
+        out[stamp_at : stamp_at + _STAMP.size] = stamp
+        if id_at:
+            out[id_at[0] : id_at[0] + 4] = data[_ID_AT : _ID_AT + 4][::-1]  # big-endian there, little-endian here
+        else:
+            out[-_POSE.size :] = pose
+        made.append(bytes(out))
     return source_ns, stamp_ns, *made
 
 
@@ -187,7 +192,7 @@ COMPILED = False
 #: the sample, Image of BGR → IMAGE of RGB, POLYDATA of points and triangles ⇄ Mesh, and the same ⇄ Marker of triangles
 #: (to OpenIGTLink only without colours and rotation), TDATA and QTDATA ⇄ messages of poses with the sample's tools.
 #: Clouds to OpenIGTLink have only the fields x, y and z as float32; all numbers are finite.
-TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, MESH, TRIANGLES, TOOLS = range(9)
+TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, MESH, TRIANGLES, TOOLS, METADATA = range(10)
 
 FillTemplate = Callable[..., tuple[Any, ...] | None]
 
@@ -195,7 +200,8 @@ FillTemplate = Callable[..., tuple[Any, ...] | None]
 #: ``at``, ``size``: the sizes of these two.  ``forms``: for each form the conversion, a template (for clouds and images
 #: up to the data; for a point the whole message; for a marker all but its points; for tools the whole message and its
 #: rows), the offsets of its stamp (0: none) and of its width (of a marker: of the number of its points; of tools: the
-#: bytes of one), and for a marker the number of bytes after the points, for tools that of the rows.
+#: bytes of one; of metadata: of the message id), and for a marker the number of bytes after the points, for tools that of
+#: the rows.
 #: The result has None for a form that does not apply to the content.
 bulk_to_ros: FillTemplate | None = None
 

@@ -43,6 +43,9 @@ MAX_TOOLS = 512
 #: What `ToRosContext.made` has of the tools.
 TOOLS = "tools"
 
+#: Code of the warning about a pose that its sender marks as not valid.
+NOT_VALID = "not_valid"
+
 _POSE_COLUMNS = 7
 _NO_POSE = (float("nan"),) * _POSE_COLUMNS
 
@@ -103,7 +106,7 @@ def _is_marked(name: str, to: ToRosContext) -> bool:
     status = next((item.value for item in to.metadata if item.key == f"{name}Status"), "")
     if status.strip().upper() in ("", "OK"):
         return False
-    to.warnings.append(("not_valid", f"{to.device_name}: a pose with the {name}Status {status} is left out of /tf"))
+    to.warnings.append((NOT_VALID, f"{to.device_name}: a pose with the {name}Status {status} is left out of /tf"))
     return True
 
 

@@ -170,7 +170,7 @@ class Gateway:
             config,
             self.ledger,
             peers,
-            streams.qos,
+            streams,
             subscribers,
             volumes,
             latest.entries,

@@ -8,6 +8,7 @@
 #ifndef IGTL_GATEWAY_BULK_H
 #define IGTL_GATEWAY_BULK_H
 
+#include "_metadata.h"
 #include "_poses.h"
 
 #if defined(__x86_64__)
@@ -16,7 +17,7 @@
 #endif
 
 /* The conversions of bulk messages; the same numbers as in express.py. */
-enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3, PICTURE = 4, BLUE_FIRST = 5, MESH = 6, TRIANGLES = 7, TOOLS = 8 };
+enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3, PICTURE = 4, BLUE_FIRST = 5, MESH = 6, TRIANGLES = 7, TOOLS = 8, METADATA = 9 };
 
 #define POINT_BYTES 136 /* name 64, group 32, rgba 4, position 12, diameter 4, owner 20 */
 #define GROUP_AT 64
@@ -427,7 +428,8 @@ struct igtl_bulk {
     double times, by;
 };
 
-/* A form of a ROS message: its template, and its room.  ``width_at`` of tools: the bytes of one in OpenIGTLink. */
+/* A form of a ROS message: its template, and its room.  ``width_at`` of tools: the bytes of one in OpenIGTLink; of
+ * metadata: the place of the message id. */
 struct ros_form {
     int form;
     const uint8_t *template;
@@ -540,6 +542,10 @@ static int has_tools(const struct ros_form *form, const uint8_t *content, ssize_
 /* Set count and size of a form for this content; 0: the message needs the full path. */
 static int prepare_form(struct ros_form *form, const uint8_t *content, ssize_t size)
 {
+    if (form->form == METADATA) {
+        form->size = form->room;
+        return 1;
+    }
     if (form->form == TEXT) {
         uint32_t head = size < 4 ? 0 : get_u32(content);
         form->size = 4 + size + 1;
@@ -717,6 +723,8 @@ static uint32_t put_block(const struct ros_form *form, const struct igtl_bulk *s
         memcpy(form->out + 4 + begin, content + begin, (size_t)(end - begin));
         return plain_text(content + begin, end - begin);
     }
+    if (form->form == METADATA)
+        return 0;
     if (form->form == TOOLS)
         return begin ? 0 : put_tools(form, stream, content);
     if (form->form == POINT)
@@ -747,9 +755,12 @@ static int bulk_from_igtl(const struct igtl_bulk *stream, const uint8_t *data, s
 {
     const uint8_t *content = data + stream->at;
     ssize_t content_size = size - stream->at - stream->tail;
-    for (ssize_t i = 0; i < count; i++)
+    for (ssize_t i = 0; i < count; i++) {
         if (forms[i].size)
             put_frame(&forms[i], content_size, stamp_ns);
+        if (forms[i].form == METADATA)
+            put_message_id(forms[i].out, forms[i].width_at, data);
+    }
     uint64_t crc = stream->check_crc ? crc64_update(0, data + HEADER_SIZE, stream->at - HEADER_SIZE) : 0;
     for (ssize_t begin = 0; begin < content_size; begin += BLOCK_BYTES) {
         ssize_t end = content_size - begin > BLOCK_BYTES ? begin + BLOCK_BYTES : content_size;

@@ -62,14 +62,14 @@ static PyObject *pose_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t
     PyTuple_SET_ITEM(result, 1, PyLong_FromLongLong(stamp_ns));
     for (Py_ssize_t i = 0; i < forms; i++) {
         PyObject *form = PyTuple_GET_ITEM(args[8], i), *template;
-        Py_ssize_t stamp_at;
-        if (!PyArg_ParseTuple(form, "Sn", &template, &stamp_at)) {
+        Py_ssize_t stamp_at, id_at = 0;
+        if (!PyArg_ParseTuple(form, "Sn|n", &template, &stamp_at, &id_at)) {
             Py_DECREF(result);
             return NULL;
         }
         Py_ssize_t length = PyBytes_GET_SIZE(template);
-        if (length < POSE_BYTES + stamp_at + 8 || stamp_at < 0) {
-            PyErr_SetString(PyExc_ValueError, "pose_to_ros: a form without room for stamp and pose");
+        if (!has_room_for_pose(length, stamp_at, id_at, at)) {
+            PyErr_SetString(PyExc_ValueError, "pose_to_ros: a form without room for stamp and pose or message id");
             Py_DECREF(result);
             return NULL;
         }
@@ -78,7 +78,7 @@ static PyObject *pose_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t
             Py_DECREF(result);
             return NULL;
         }
-        put_ros_pose((uint8_t *)PyBytes_AS_STRING(cdr), length, stamp_at, stamp_ns, pose);
+        put_ros_pose_or_id((uint8_t *)PyBytes_AS_STRING(cdr), length, stamp_at, id_at, stamp_ns, pose, data);
         PyTuple_SET_ITEM(result, 2 + i, cdr);
     }
     return result;
@@ -209,7 +209,8 @@ static PyObject *bulk_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t
             goto failed;
         form->template = (const uint8_t *)PyBytes_AS_STRING(template);
         form->room = PyBytes_GET_SIZE(template);
-        if (form->form < TEXT || form->form > TOOLS || form->form == BLUE_FIRST || !has_room(form)) {
+        if (form->form < TEXT || form->form > METADATA || form->form == BLUE_FIRST || !has_room(form) ||
+            (form->form == METADATA && stream.sample[1] != 2)) {
             PyErr_SetString(PyExc_ValueError, "bulk_to_ros: a form without room for stamp and width");
             goto failed;
         }

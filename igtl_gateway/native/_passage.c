@@ -376,6 +376,7 @@ static void leave_kept(struct kept *kept)
 struct output {
     uint8_t *template;           /* of bulk to OpenIGTLink: the bytes before the content */
     ssize_t size, at, digits_at; /* at: of the stamp (to ROS), of the numbers (to OpenIGTLink) */
+    ssize_t id_at;               /* of metadata beside a pose to ROS: of the message id; 0: it is the pose */
     uint8_t *tail;               /* of bulk to OpenIGTLink: the bytes after the content */
     ssize_t tail_size;
     struct ros_form form;        /* of bulk to ROS */
@@ -397,6 +398,7 @@ struct Stream {
     Subscription *subscription;  /* to OpenIGTLink: where it comes from */
     uint8_t names[NAMES_BYTES];
     uint8_t *sample;
+    struct metadata metadata; /* to ROS */
     ssize_t at, place_at;
     struct igtl_poses from_igtl;
     struct ros_poses from_ros;
@@ -835,7 +837,7 @@ static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize
         uint8_t *cdr = scratch_of(self, i);
         if (!is_bulk) {
             memcpy(cdr, output->template, output->size);
-            put_ros_pose(cdr, output->size, output->at, shown_ns, pose);
+            put_ros_pose_or_id(cdr, output->size, output->at, output->id_at, shown_ns, pose, data);
         }
         publish_output(self, &chosen, i, cdr);
     }
@@ -931,12 +933,29 @@ static unsigned bucket_of(const uint8_t *names)
     return (hash ^ hash >> 16) % BUCKETS;
 }
 
-static Stream *stream_of(Link *self, const uint8_t *message)
+/* One of the streams of these names; they differ in their metadata. */
+static Stream *stream_named(Stream *stream, const uint8_t *names)
 {
-    Stream *stream = self->streams[bucket_of(message)];
-    while (stream && memcmp(stream->names, message, NAMES_BYTES))
+    while (stream && memcmp(stream->names, names, NAMES_BYTES))
         stream = stream->next;
     return stream;
+}
+
+/* The stream of a whole message. */
+static Stream *stream_of(Link *self, const uint8_t *message, ssize_t size)
+{
+    Stream *stream = stream_named(self->streams[bucket_of(message)], message);
+    while (stream && !has_metadata(&stream->metadata, message, size))
+        stream = stream_named(stream->next, message);
+    return stream;
+}
+
+static int has_stream(Link *self, const Stream *stream)
+{
+    const Stream *one = self->streams[bucket_of(stream->names)];
+    while (one && one != stream)
+        one = one->next;
+    return one != NULL;
 }
 
 static void wake_links(Passage *passage)
@@ -991,7 +1010,7 @@ static int end_body(Link *self)
 static int pass_body(Link *self)
 {
     wait_for_sequence(self->passage);
-    Stream *stream = __atomic_load_n(&self->large_waiting, __ATOMIC_ACQUIRE) ? NULL : stream_of(self, self->body); /* perhaps for one of its stream */
+    Stream *stream = __atomic_load_n(&self->large_waiting, __ATOMIC_ACQUIRE) ? NULL : stream_of(self, self->body, self->body_size); /* perhaps for one of its stream */
     int passed = stream && pass_to_ros(self->passage, stream, self->body, self->body_size, self->heard_ns);
     unlock_sequence(self->passage);
     if (!passed)
@@ -1008,7 +1027,7 @@ static int admit_to_ros(Link *self, Stream *stream, const uint8_t *data, const s
     Passage *passage = self->passage;
     ssize_t size = (ssize_t)kept->message.length;
     int64_t stamp_ns = 0, now_ns = time_of_input(passage, &stamp_ns), source_ns = ticks_to_ns(get_u64(data + TICKS_AT));
-    if (!now_ns || stream_of(self, data) != stream)
+    if (!now_ns || !has_stream(self, stream))
         return 0;
     for (int i = 0; i < chosen->count; i++)
         if (chosen->outputs[i]->publisher->by_python)
@@ -1093,7 +1112,7 @@ static int pass_points(Link *self)
     struct rcl_serialized message = {.buffer = self->body, .length = (size_t)self->body_size};
     wait_for_sequence(passage);
     int waits = passage->is_recorded || __atomic_load_n(&self->large_waiting, __ATOMIC_ACQUIRE);
-    Stream *stream = waits ? NULL : stream_of(self, self->body);
+    Stream *stream = waits ? NULL : stream_of(self, self->body, self->body_size);
     if (stream)
         __atomic_store_n(&stream->is_in_use, 1, __ATOMIC_RELEASE);
     unlock_sequence(passage);
@@ -1146,7 +1165,8 @@ static int begin_large(Link *self, uint64_t total)
 {
     wait_for_sequence(self->passage);
     ssize_t most = most_of_large(self, self->chunk + self->start);
-    Stream *stream = total > LARGEST_RECEIVED ? stream_of(self, self->chunk + self->start) : NULL;
+    const uint8_t *names = self->chunk + self->start;
+    Stream *stream = total > LARGEST_RECEIVED ? stream_named(self->streams[bucket_of(names)], names) : NULL;
     self->checks = stream && stream->is_bulk && stream->bulk_from_igtl.check_crc;
     unlock_sequence(self->passage);
     if (total > (uint64_t)most || !(self->body = malloc(total)))
@@ -1253,7 +1273,7 @@ static int read_link(Link *self, int64_t begun_ns)
         int passed = 0;
         if (body <= CHUNK_BYTES - HEADER_SIZE) {
             wait_for_sequence(passage);
-            Stream *stream = stream_of(self, message);
+            Stream *stream = stream_of(self, message, HEADER_SIZE + (ssize_t)body);
             int waits = __atomic_load_n(&self->large_waiting, __ATOMIC_ACQUIRE) && most_of_large(self, message); /* for one of its stream */
             passed = stream && !waits && pass_to_ros(passage, stream, message, HEADER_SIZE + (ssize_t)body, now_ns);
             unlock_sequence(passage);
@@ -2150,6 +2170,12 @@ static Stream *new_stream(Passage *passage, const char *sample, Py_ssize_t size)
     return self;
 }
 
+/* Note the metadata at the end of the sample, which has room for the sizes before them if there are any. */
+static void set_metadata(Stream *self, ssize_t sample_size, ssize_t size)
+{
+    self->metadata = (struct metadata){self->sample + HEADER_SIZE, self->sample + sample_size - size, size};
+}
+
 /* The next output; NULL: an exception is set. */
 static struct output *new_output(Stream *self, const char *template, Py_ssize_t size, Py_ssize_t at, Py_ssize_t digits_at,
                                  unsigned long long number)
@@ -2216,7 +2242,7 @@ static PyObject *passage_to_ros(Passage *self, PyObject *args)
                           &check_crc, &own, &times, &by, &place_at, &number, &PyTuple_Type, &outputs))
         return NULL;
     if (names_size != NAMES_BYTES || (bytes != MATRIX_BYTES && bytes != QUATERNION_BYTES) || at < HEADER_SIZE ||
-        at + bytes > size || place_at < at || place_at + 12 > size) {
+        at + bytes > size || (at + bytes < size && at < HEADER_SIZE + EXTENDED_SIZE) || place_at < at || place_at + 12 > size) {
         PyErr_SetString(PyExc_ValueError, "to_ros: numbers outside the sample");
         return NULL;
     }
@@ -2227,20 +2253,22 @@ static PyObject *passage_to_ros(Passage *self, PyObject *args)
     memcpy(stream->names, names, NAMES_BYTES);
     stream->from_igtl = (struct igtl_poses){stream->sample, size, at, bytes, check_crc, times, by};
     stream->own = own, stream->place_at = place_at, stream->number = number;
+    set_metadata(stream, size, size - at - bytes);
     for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(outputs); i++) {
         const char *template;
-        Py_ssize_t length, stamp_at;
+        Py_ssize_t length, stamp_at, id_at;
         Publisher *publisher;
-        if (!PyArg_ParseTuple(PyTuple_GET_ITEM(outputs, i), "y#nKO!", &template, &length, &stamp_at, &number,
+        if (!PyArg_ParseTuple(PyTuple_GET_ITEM(outputs, i), "y#nnKO!", &template, &length, &stamp_at, &id_at, &number,
                               &Publisher_Type, &publisher))
             goto failed;
-        if (stamp_at < 0 || length < POSE_BYTES + stamp_at + 8) {
-            PyErr_SetString(PyExc_ValueError, "to_ros: an output without room for stamp and pose");
+        if (!has_room_for_pose(length, stamp_at, id_at, at)) {
+            PyErr_SetString(PyExc_ValueError, "to_ros: an output without room for stamp and pose or message id");
             goto failed;
         }
         struct output *output = new_output(stream, template, length, stamp_at, 0, number);
         if (!output)
             goto failed;
+        output->id_at = id_at;
         output->publisher = (Publisher *)Py_NewRef((PyObject *)publisher);
     }
     return add_to_link(stream);
@@ -2261,7 +2289,7 @@ static PyObject *passage_to_ros_bulk(Passage *self, PyObject *args)
     if (!PyArg_ParseTuple(args, "O!y#y#nnppddKO!p", &Link_Type, &link, &names, &names_size, &sample, &size, &at, &tail,
                           &check_crc, &own, &times, &by, &number, &PyTuple_Type, &outputs, &keeps))
         return NULL;
-    if (names_size != NAMES_BYTES || tail < 0 || at + tail != size || at < HEADER_SIZE + (sample[1] == 2 ? EXTENDED_SIZE : 0)) {
+    if (names_size != NAMES_BYTES || tail < 0 || (tail && sample[1] != 2) || at + tail != size || at < HEADER_SIZE + (sample[1] == 2 ? EXTENDED_SIZE : 0)) {
         PyErr_SetString(PyExc_ValueError, "to_ros_bulk: a sample that is not all but the content");
         return NULL;
     }
@@ -2273,6 +2301,7 @@ static PyObject *passage_to_ros_bulk(Passage *self, PyObject *args)
     stream->is_bulk = 1;
     stream->bulk_from_igtl = (struct igtl_bulk){stream->sample, at, tail, check_crc, times, by};
     stream->own = own, stream->number = number, stream->keeps = (char)keeps;
+    set_metadata(stream, size, tail);
     for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(outputs); i++) {
         const char *template;
         Py_ssize_t room, stamp_at, width_at, rest;
@@ -2286,7 +2315,8 @@ static PyObject *passage_to_ros_bulk(Passage *self, PyObject *args)
             goto failed;
         output->form = (struct ros_form){.form = form, .template = output->template, .room = room, .stamp_at = stamp_at,
                                          .width_at = width_at, .rest = rest};
-        if (form < TEXT || (form > PICTURE && form != TOOLS) || !has_room(&output->form)) {
+        if (form < TEXT || (form > PICTURE && form != TOOLS && form != METADATA) || !has_room(&output->form) ||
+            (form == METADATA && sample[1] != 2)) {
             PyErr_SetString(PyExc_ValueError, "to_ros_bulk: a form without room for stamp and width");
             goto failed;
         }
@@ -2656,7 +2686,7 @@ static PyObject *link_add_large(Link *self, PyObject *args)
 static int pass_read(Link *self, struct rcl_serialized *message, int is_checked)
 {
     lock_from_python(&self->passage->sequence);
-    Stream *stream = (Stream *)Py_XNewRef((PyObject *)stream_of(self, message->buffer));
+    Stream *stream = (Stream *)Py_XNewRef((PyObject *)stream_of(self, message->buffer, (ssize_t)message->length));
     pthread_mutex_unlock(&self->passage->sequence);
     struct kept *kept = stream ? keep(message) : NULL;
     int passed = 0;

@@ -8,7 +8,7 @@
 
 #include <math.h>
 
-#include "_bytes.h"
+#include "_metadata.h"
 
 static const double ROUNDING = 1e-5;
 static const double BEYOND_FLOAT32 = 0x1.ffffffp127; /* from here on numbers round to the infinity of float32 */
@@ -147,6 +147,29 @@ static void put_ros_pose(uint8_t *cdr, ssize_t size, ssize_t stamp_at, int64_t s
 {
     put_ros_stamp(cdr + stamp_at, stamp_ns);
     memcpy(cdr + size - POSE_BYTES, pose, POSE_BYTES);
+}
+
+/* Return whether a template has room for stamp and pose, or of metadata (``id_at``) for stamp and message id.  ``at``: of
+ * the numbers in OpenIGTLink, behind the extended header of header version 2. */
+static int has_room_for_pose(ssize_t size, ssize_t stamp_at, ssize_t id_at, ssize_t at)
+{
+    if (stamp_at < 0 || id_at < 0 || size < stamp_at + 8)
+        return 0;
+    if (id_at)
+        return at >= HEADER_SIZE + EXTENDED_SIZE && size >= MESSAGE_ID_BYTES && id_at <= size - MESSAGE_ID_BYTES;
+    return size >= POSE_BYTES + stamp_at + 8;
+}
+
+/* ``put_ros_pose``, or for the template of metadata stamp and message id. */
+static void put_ros_pose_or_id(uint8_t *cdr, ssize_t size, ssize_t stamp_at, ssize_t id_at, int64_t stamp_ns,
+                               const double pose[7], const uint8_t *message)
+{
+    if (!id_at) {
+        put_ros_pose(cdr, size, stamp_at, stamp_ns, pose);
+        return;
+    }
+    put_ros_stamp(cdr + stamp_at, stamp_ns);
+    put_message_id(cdr, id_at, message);
 }
 
 /* A stream of ROS messages of header, names and pose: what lies between the names and behind them is padding. */

@@ -8,16 +8,17 @@ from typing import Any
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import ConversionError
-from igtl_gateway.base.qos import Qos
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.fastpath import compile_to_igtl, compile_to_ros
 from igtl_gateway.gateway.fastpath.common import CompileContext, Key, NativeStreams, ToIgtlKey, ToRosKey
 from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
 from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos
+from igtl_gateway.gateway.fastpath.metadata import Blocks, to_ros_key
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.outcome import Outcome
 from igtl_gateway.gateway.peers import Peers
+from igtl_gateway.gateway.streams import Streams
 from igtl_gateway.gateway.to_igtl.beforehand import RosBeforehand, RosResults
 from igtl_gateway.gateway.to_igtl.origin import IgtlOrigin
 from igtl_gateway.gateway.to_ros.beforehand import Beforehand, Results
@@ -25,7 +26,7 @@ from igtl_gateway.gateway.to_ros.route import RosOrigin
 from igtl_gateway.gateway.to_ros.subscribers import Subscribers
 from igtl_gateway.gateway.to_ros.volumes import Volumes
 from igtl_gateway.wire.cost import AT_ONCE_NS, cost_ns
-from igtl_gateway.wire.header import HEADER_SIZE, NAMES
+from igtl_gateway.wire.header import HEADER_SIZE
 
 #: Maximum number of compiled streams in each direction; further streams take the full path.
 MAX_STREAMS = 4_096
@@ -74,7 +75,7 @@ class FastPath:
         config: Config,
         ledger: Ledger,
         peers: Peers,
-        qos: Callable[[str], Qos | None],
+        streams: Streams,
         subscribers: Subscribers,
         volumes: Volumes,
         latest: dict[str, Entry],
@@ -87,10 +88,11 @@ class FastPath:
         self.to_igtl: dict[ToIgtlKey, CompiledToIgtl] = {}
         self.native: NativeStreams | None = None
         self._compiled: dict[Key, int] = {}  # number of times
+        self._blocks = Blocks(MAX_STREAMS)
         # what small streams to peers were compiled from, and those that are to be compiled again
         self._learned: dict[Key, tuple[Entry, IgtlOrigin]] = {}
         self._outdated: list[ToIgtlKey] = []
-        self._common = CompileContext(config, ledger, qos, subscribers.waiting)
+        self._common = CompileContext(config, ledger, streams.qos, streams.advertise, subscribers.waiting)
         self._peers = peers
         self._subscribers = subscribers
         self._volumes = volumes
@@ -130,7 +132,7 @@ class FastPath:
                 elif native and entries:
                     native.handled(topic_key, to_igtl)
         elif kind is Kind.IGTL_IN:
-            device_key = (links[0], bytes(payload[0][NAMES]))
+            device_key = to_ros_key(links[0], payload[0])
             if to_ros := self.to_ros.get(device_key):
                 if native:
                     native.collect(device_key, to_ros)
@@ -181,7 +183,7 @@ class FastPath:
                 with suppress(Exception):  # the full path meets it as well, and notes it
                     return self._ros_beforehand.work(channel, type_name, payload)
         elif kind is Kind.IGTL_IN and len(payload) >= HEADER_SIZE:
-            to_ros = self.to_ros.get((links[0], bytes(payload[NAMES])))
+            to_ros = self.to_ros.get(to_ros_key(links[0], payload))
             made = to_ros is None or (is_large and to_ros.prepare((payload,), self._subscribers.ask))
             if to_ros and isinstance(made, tuple):
                 return to_ros, made
@@ -242,9 +244,9 @@ class FastPath:
             return
 
     def _learn_to_ros(self, entry: Entry, origin: RosOrigin) -> None:
-        key = (entry.links[0], bytes(entry.payload[0][NAMES]))
-        plain = entry.type in compile_to_ros.TYPES and not self._frames_go_out and not origin.to.warnings
-        if plain and self._comes_again(key):
+        key = to_ros_key(entry.links[0], entry.payload[0])
+        plain = entry.type in compile_to_ros.TYPES and not self._frames_go_out
+        if plain and compile_to_ros.may_repeat(origin.to.warnings) and self._admits(key) and self._comes_again(key):
             assembler, peer = self._volumes.get(origin.to.device_name), self._peers.get(entry.links[0])
             frames = peer.frames if peer else None
             compiled = compile_to_ros.compile_to_ros(entry, origin, self._common, assembler, frames, self._beforehand)
@@ -258,6 +260,16 @@ class FastPath:
             self._store(self.to_igtl, key, compiled)
             if compiled and entry.size <= _LARGEST_LEARNED and len(self._learned) < _MOST_LEARNED:
                 self._learned[key] = entry, origin
+
+    def _admits(self, key: ToRosKey) -> bool:
+        """Return whether a stream may be compiled with its metadata; another one of its device may be dropped for it."""
+        if not self._blocks.admits(key):
+            return False
+        if oldest := self._blocks.add(key):
+            self._compiled.pop(oldest, None)
+            if oldest in self.to_ros:
+                self._drop(self.to_ros, oldest)
+        return True
 
     def _comes_again(self, key: Key) -> bool:
         """Return whether a stream of a peer may be compiled: beyond `MOST_AT_ONCE` from its second message on."""
@@ -296,6 +308,7 @@ class FastPath:
                 self._drop(self.to_igtl, topic_key)
         for device_key in [key for key in self.to_ros if key[0] == link]:
             self._drop(self.to_ros, device_key)
+        self._blocks.drop(link)
         self._compiled = {key: times for key, times in self._compiled.items() if _is_of_another(key, link)}
 
     def drop_compiled(self) -> None:
@@ -303,6 +316,7 @@ class FastPath:
         self.to_ros.clear()
         self.to_igtl.clear()
         self._compiled.clear()
+        self._blocks.clear()
         self._learned.clear()
         self._outdated.clear()
         if self.native:

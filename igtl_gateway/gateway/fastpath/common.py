@@ -13,7 +13,7 @@ from igtl_gateway.gateway.log.ledger import Ledger
 #: Offsets of the stamp and of the frame id in CDR that begins with a std_msgs/Header.
 STAMP_AT, NAMES_AT = 4, 12
 
-#: Key of a stream: link and names in the header; topic and ROS type.
+#: Key of a stream: link, names in the header and metadata of the message (`to_ros_key`); topic and ROS type.
 ToRosKey = tuple[int, bytes]
 ToIgtlKey = tuple[str, str]
 Key = ToRosKey | ToIgtlKey
@@ -52,13 +52,14 @@ class CompileContext(NamedTuple):
 
     Attributes:
         config, ledger: configuration and ledger of the session.
-        qos: returns the QoS of a published topic.
+        qos, advertise: return and set the QoS of a published topic.
         waiting: latched topic without a subscriber → its last message.
     """
 
     config: Config
     ledger: Ledger
     qos: Callable[[str], Qos | None]
+    advertise: Callable[[str, Qos], None]
     waiting: dict[str, Any]
 
 

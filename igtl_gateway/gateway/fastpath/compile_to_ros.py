@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,11 +17,13 @@ import numpy as np
 from igtl_gateway.config.settings import SOURCE
 from igtl_gateway.convert import clouds, express, images, poses, rosmsg, surfaces, texts, tracking, volumes
 from igtl_gateway.convert.assembly import VolumeAssembler, form_of
+from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.express import (
     CLOUD,
     MATRIX,
     MESH,
+    METADATA,
     PICTURE,
     POINT,
     POINTS,
@@ -33,19 +35,23 @@ from igtl_gateway.convert.express import (
 )
 from igtl_gateway.convert.plus_signs import TrackedFrames
 from igtl_gateway.convert.polydata import exceeds_standard
-from igtl_gateway.convert.table import ConversionToRos
+from igtl_gateway.convert.igtl_msgs import Metadata
+from igtl_gateway.convert.table import ConversionToRos, Role
+from igtl_gateway.convert.tracking import NOT_VALID
 from igtl_gateway.convert.trajectories import is_labeled
+from igtl_gateway.gateway.fastpath import metadata
 from igtl_gateway.gateway.fastpath.common import NAMES_AT, STAMP_AT, CompileContext, end_of_name
 from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos, Defer, Volume
 from igtl_gateway.gateway.fastpath.tools import tools_form
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.to_ros.beforehand import Beforehand
+from igtl_gateway.gateway.to_ros.convert import METADATA_QOS
 from igtl_gateway.gateway.to_ros.route import RosOrigin
 from igtl_gateway.gateway.to_ros.subscribers import Waiting
 from igtl_gateway.wire.header import HEADER_SIZE
 from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD
 from igtl_gateway.wire.image import Image
-from igtl_gateway.wire.message import EXTENDED_SIZE, ExtendedHeader
+from igtl_gateway.wire.message import EXTENDED_SIZE
 from igtl_gateway.wire.polydata import Cells, PolyData
 
 #: Conversion function of a pose → offset of the stamp in its CDR, which ends with the pose.
@@ -89,6 +95,8 @@ _ONE_POINT = PolyData(np.zeros((1, 3), ">f4"))
 #: Types whose streams can be compiled.
 TYPES = frozenset({*_POSES, "STRING", "POINT", "POLYDATA", "IMAGE", "TDATA", "QTDATA"})
 _U32 = struct.Struct("<I")
+#: In place of the form of a message that is not published.
+_LEFT_OUT: tuple[Any, ...] = ()
 #: Offset of the translation in the content.
 _PLACE_AT = {MATRIX: 36, QUATERNION: 0}
 
@@ -109,12 +117,14 @@ def compile_to_ros(
     message, stream, to, watched = origin
     to = replace(to, warnings=[], made={})
     data, size = entry.payload[0], _POSES.get(entry.type, 0)
-    if message.metadata or message.layout is not None:
+    if not metadata.are_constant(message):
         return None
     at, tail = HEADER_SIZE, 0
     if message.header_version > 1:
         at += EXTENDED_SIZE
-        tail = ExtendedHeader.unpack(memoryview(data)[HEADER_SIZE:]).metadata_header_size
+        tail = metadata.block_size(data)
+        if tail > metadata.LARGEST_BLOCK:
+            return None
     if size and (not isinstance(data, bytes) or at + size + tail != len(data)):
         return None
     volume: Volume | None = None
@@ -124,18 +134,26 @@ def compile_to_ros(
         at, volume = at + IMAGE_HEAD, (assembler, form_of(content), content.array.dtype)
     forms: list[tuple[str, str, tuple[Any, ...]]] = []
     rows: dict[str, ConversionToRos] = {}
+    alone = bool(to.metadata)  # no message to ROS contains them
     for row, topic in stream.outputs:
         if not isinstance(message.content, row.content):
             return None
         if not size and row.applies in _NEVER and not row.applies(message.content):
             continue
+        alone = alone and row.role is not Role.FULL
         form = _pose_form(row, message.content, to) if size else _bulk_form(row, message.content, to, beforehand)
         if form is None:
             return None
-        forms.append((topic, row.message.TYPE, form))
-        rows[topic] = row
-    if to.warnings:
+        if form is not _LEFT_OUT:
+            forms.append((topic, row.message.TYPE, form))
+            rows[topic] = row
+    if any(warning not in origin.to.warnings for warning in to.warnings):
         return None
+    if alone:
+        common.advertise(stream.metadata_topic, METADATA_QOS)
+        made, stamp_at, id_at = metadata.metadata_form(to)
+        form = (made, stamp_at, id_at) if size else (METADATA, made, stamp_at, id_at, 0)
+        forms.append((stream.metadata_topic, Metadata.TYPE, form))
     own = common.config.stamp_of(stream.row) == SOURCE
     if stream.max_age_s and not own:  # the guard checks a stamp that the output does not have
         return None
@@ -171,12 +189,19 @@ def _defer(rows: dict[str, ConversionToRos], to: ToRosContext) -> Defer:
     )
 
 
-def _pose_form(row: ConversionToRos, content: Any, to: ToRosContext) -> tuple[bytes, int] | None:
-    """Return the CDR and the offset of its stamp."""
+def may_repeat(warnings: Sequence[tuple[str, str]]) -> bool:
+    """Return whether a stream can be compiled from a message with these warnings: each is reported once only."""
+    return all(code == NOT_VALID for code, _ in warnings)
+
+
+def _pose_form(row: ConversionToRos, content: Any, to: ToRosContext) -> tuple[Any, ...] | None:
+    """Return the CDR and the offset of its stamp; ``_LEFT_OUT`` if the sender marks the pose as not valid."""
     stamp_at = _TO_ROS.get(row.convert)
     if stamp_at is None or not row.applies(content):
         return None
     made: Any = row.convert(content, to)
+    if isinstance(made, TFMessage) and not made.transforms:
+        return _LEFT_OUT
     return made.pack(), stamp_at
 
 

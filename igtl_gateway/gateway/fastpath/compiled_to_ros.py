@@ -12,6 +12,7 @@ from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.assembly import Form, VolumeAssembler
 from igtl_gateway.convert.express import FillTemplate
+from igtl_gateway.convert.igtl_msgs import Metadata
 from igtl_gateway.convert.rosmsg import Image, Marker, Mesh, PointCloud2
 from igtl_gateway.gateway.fastpath.tools import has_tools
 from igtl_gateway.gateway.guarded_stream import GuardedStream
@@ -34,7 +35,7 @@ Prepared = tuple[Outputs, tuple[Any, ...]]
 #: Gateway time (UTC ns) that no message has, in place of one that is not known yet.
 _NO_TIME = 0
 #: ROS types that begin with the only stamp that is set, and its place in CDR; and one without any.
-_HEADED = frozenset({Image.TYPE, PointCloud2.TYPE, Marker.TYPE})
+_HEADED = frozenset({Image.TYPE, PointCloud2.TYPE, Marker.TYPE, Metadata.TYPE})
 _STAMPLESS = Mesh.TYPE
 _STAMP, _STAMP_AT = struct.Struct("<iI"), 4
 #: The translation in OpenIGTLink.

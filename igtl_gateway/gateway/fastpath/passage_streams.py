@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
-from igtl_gateway.convert.express import BLUE_FIRST, CLOUD, PICTURE, POINT, POINTS, TEXT, TOOLS
+from igtl_gateway.convert.express import BLUE_FIRST, CLOUD, METADATA, PICTURE, POINT, POINTS, TEXT, TOOLS
 from igtl_gateway.gateway.fastpath.common import Key
 from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
 from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos
+from igtl_gateway.gateway.fastpath.metadata import names_of
 from igtl_gateway.gateway.guarded_stream import GuardedStream
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.fates import CONVERTED, UNSUBSCRIBED
@@ -20,7 +21,7 @@ from igtl_gateway.native.passage import Guard, Link, Passage, Publisher, Stream,
 from igtl_gateway.wire.header import HEADER_SIZE
 
 #: Conversions of bulk that can pass natively.
-_FORMS = frozenset({TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, TOOLS})
+_FORMS = frozenset({TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, TOOLS, METADATA})
 
 #: Largest message, in bytes, that the passage reads for Python, if the limits of the links permit it.
 LARGEST_BYTES = 16 << 20
@@ -28,6 +29,9 @@ LARGEST_BYTES = 16 << 20
 #: Messages of a stream in Python, after which it is copied if it can be now: half a second at 30 Hz, and 3 % of the
 #: time of a message if it never can.
 _RETRY_AFTER = 16
+
+#: Numbers of the form of a pose: template, offsets of stamp and message id.
+_POSE_FORM = 3
 
 #: Streams of a slice: each takes 10 to 20 µs.
 _SLICE = 4
@@ -191,7 +195,7 @@ class PassageStreams:
     def _copy(self, key: Key, stream: CompiledToRos | CompiledToIgtl) -> None:
         """Copy a compiled stream, if that is possible now."""
         if isinstance(stream, CompiledToRos) and isinstance(key[0], int) and isinstance(key[1], bytes):
-            copied = self._copy_to_ros(key[0], key[1], stream)
+            copied = self._copy_to_ros(key[0], names_of((key[0], key[1])), stream)
         elif isinstance(stream, CompiledToIgtl) and isinstance(key[0], str) and isinstance(key[1], str):
             copied = self._copy_to_igtl(key[0], key[1], stream)
         else:
@@ -271,7 +275,8 @@ class PassageStreams:
                 return f"{topic} waits for subscribers, or is subscribed to as well"
             if own_number is None:
                 return _NO_NUMBER
-            outputs.append((*form, own_number, publisher))
+            of_pose = (*form, 0)[:_POSE_FORM] if compiled.place_at else form  # 0: no message id
+            outputs.append((*of_pose, own_number, publisher))
         place = (compiled.place_at,) if compiled.place_at else ()
         add: Callable[..., Stream] = self._passage.to_ros if place else self._passage.to_ros_bulk
         native = add(

@@ -30,7 +30,7 @@ from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.image import Image
 
 RAW_QOS = Qos(depth=100)
-_METADATA_QOS = Qos(depth=100)
+METADATA_QOS = Qos(depth=100)
 
 
 class Converter:
@@ -140,7 +140,7 @@ class Converter:
     def _metadata(self, content: object, stream: ToRosStream, to: ToRosContext) -> Item:
         """Return the metadata of the sender as a message of its own, beside a ROS type that cannot contain it."""
         message = self._beforehand.metadata(content, to) or metadata_message(to)
-        self._streams.advertise(stream.metadata_topic, _METADATA_QOS)
+        self._streams.advertise(stream.metadata_topic, METADATA_QOS)
         return ros_output(stream.metadata_topic, message, to.stamp_ns)
 
     def children(self, bind: Bind) -> Sequence[Body | WireError | None]:

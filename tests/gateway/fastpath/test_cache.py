@@ -29,6 +29,7 @@ from igtl_gateway.gateway.peers import MAX_RELEASES
 from igtl_gateway.wire import HEADER_SIZE, Item, Message, encode
 from igtl_gateway.wire.header import crc64
 from igtl_gateway.wire.image import SCALARS, Image
+from igtl_gateway.wire.message import EXTENDED_SIZE
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import NO_CELLS, SCALAR, Attribute, Cells, PolyData
 from igtl_gateway.wire.query import EmptyQuery, StartTracking
@@ -86,17 +87,57 @@ def matrices(draw: st.DrawFn) -> tuple[float, ...]:
     return (*m, *position)
 
 
+#: What 3D Slicer sends with each TRANSFORM.
+SLICER = tuple(
+    Item(key, value)
+    for key, value in (
+        ("MRMLNodeName", b"Probe"),
+        ("STREAM_ID_FROM", b"unknown"),
+        ("STREAM_ID_TO", b"unknown"),
+        ("TransformStatus", b"OK"),
+    )
+)
+MISSING = (*SLICER[:3], Item("TransformStatus", b"MISSING"))
+#: Metadata of messages: those of Slicer, in other orders, with keys twice, without values, in other encodings, long ones,
+#: and those that have a meaning for the gateway.
+BLOCKS: tuple[tuple[Item, ...], ...] = (
+    *(SLICER, SLICER, SLICER, MISSING, MISSING),
+    *((), (Item("key", b"value"),), SLICER[::-1], (*SLICER, SLICER[0]), (Item("", b""),)),
+    (Item("TransformStatus", b"OK", 106), Item("Bild", "für".encode(), 106), Item("odd", b"\xff\0", 17)),
+    (Item("long", b"x" * 3000),),
+    (Item("longer", b"x" * 5000),),
+    (Item("ros.stamp", b"1700000000123456789"),),
+    (Item("ros.frame_id", b"table"), Item("DeviceName", b"no")),
+    (Item("ros.stamp", b"soon"),),
+)
+
+
+def with_odd_sizes(draw: st.DrawFn, data: bytes) -> bytes:
+    """A message of header version 2, whose sizes are wrong or whose extended header is longer now and then."""
+    if data[1] != 2 or draw(st.integers(0, 9)):
+        return data
+    at = HEADER_SIZE + draw(st.sampled_from([1, 3, 7]))
+    odd = bytearray(data)
+    odd[at] = (odd[at] + draw(st.sampled_from([1, 2, 255]))) % 256
+    if draw(st.booleans()):  # another extended header, and room for it
+        odd[HEADER_SIZE : HEADER_SIZE + 2] = b"\0\x10"
+        odd[HEADER_SIZE + EXTENDED_SIZE : HEADER_SIZE + EXTENDED_SIZE] = b"more"
+        odd[42:50] = (len(odd) - HEADER_SIZE).to_bytes(8, "big")
+    odd[50:58] = crc64(odd[HEADER_SIZE:]).to_bytes(8, "big")
+    return bytes(odd)
+
+
 @st.composite
 def igtl_messages(draw: st.DrawFn) -> Step:
-    device, version = draw(st.sampled_from("AB")), draw(st.sampled_from([1, 1, 2]))
+    device, version = draw(st.sampled_from("AB")), draw(st.sampled_from([1, 2, 2]))
     content: Any = Transform(draw(matrices()))
     if draw(st.integers(0, 2)) == 0:
         position = draw(st.tuples(*[st.floats(-1e3, 1e3, width=32)] * 3))
         content = Position(position, draw(rotations()), draw(st.sampled_from(["all", "all", "quaternion3"])))
-    items = (Item("key", b"value"),) if version == 2 and draw(st.integers(0, 4)) == 0 else ()
+    items = draw(st.sampled_from(BLOCKS)) if version == 2 else ()
     name = "TRANSFORM" if isinstance(content, Transform) else "POSITION"
     message = Message(name, device, content, ns_to_ticks(draw(stamps)), version, draw(st.integers(0, 3)), items)
-    data = bytearray(join(encode(message)))
+    data = bytearray(with_odd_sizes(draw, join(encode(message))))
     if draw(st.integers(0, 9)) == 0:
         data[draw(st.sampled_from([50, 60, len(data) - 1]))] ^= 1
     return "igtl", bytes(data), draw(st.sampled_from([1, 2]))
@@ -193,7 +234,7 @@ def igtl_bulk(draw: st.DrawFn) -> Step:
         case _:
             content = _cloud(draw)
     version = _mostly(draw, draw(st.sampled_from([1, 2])), 2)
-    items = (Item("key", b"value"),) if version == 2 and _mostly(draw, False, True) else ()
+    items = draw(st.sampled_from(BLOCKS)) if version == 2 else ()
     message = Message(name, "B", content, ns_to_ticks(draw(stamps)), version, draw(st.integers(0, 3)), items)
     data = bytearray(join(encode(message)))
     if draw(st.integers(0, 9)) == 0:
@@ -293,7 +334,7 @@ def igtl_tools(draw: st.DrawFn) -> Step:
             element["matrix"] = draw(matrices()) if is_odd else _matrix(pose)
         else:
             element["position"], element["quaternion"] = pose[:3], draw(rotations()) if is_odd else pose[3:]
-    version, items = (2, (Item("key", b"value"),)) if odd == "items" else (1 + (odd == "version"), ())
+    version, items = (2, draw(st.sampled_from(BLOCKS))) if odd == "items" else (1 + (odd == "version"), ())
     content = (Tracked if name == "TDATA" else QuaternionTracked)(elements)
     message = Message(name, "B", content, ns_to_ticks(draw(stamps)), version, draw(st.integers(0, 3)), items)
     data = bytearray(join(encode(message)))
@@ -366,6 +407,7 @@ CONFIGS = (
         ),
     ),
     Config(watch=True),
+    Config().watched(),
     Config(
         watch=True,
         to_ros=(ToRosRow(device="A", max_age_s=3.0),),
@@ -416,7 +458,7 @@ def _plain(entry: Entry) -> tuple[Any, ...]:
 @given(
     st.lists(igtl_messages() | igtl_messages() | ros_messages() | ros_messages() | others(), max_size=25),
     st.sampled_from(CONFIGS),
-    st.sampled_from([None, set(), {"/tf"}, {"/igtl/in/A/transform"}]),
+    st.sampled_from([None, None, set(), {"/tf"}, {"/igtl/in/A/transform"}, {"/igtl/in/A/metadata", "/tf"}]),
 )
 def test_a_session_with_the_fast_path_is_the_session_without(
     functions: str, steps: list[Step], config: Config, heard: set[str] | None
@@ -433,7 +475,7 @@ def test_a_session_with_the_fast_path_is_the_session_without(
     st.sampled_from(CONFIGS),
     st.sampled_from(
         [
-            *(None, set(), {"/igtl/in/B/point"}, {"/igtl/in/B/points", "/igtl/in/B/image"}),
+            *(None, set(), {"/igtl/in/B/point"}, {"/igtl/in/B/points", "/igtl/in/B/image"}, {"/igtl/in/B/metadata"}),
             *({"/igtl/in/B/mesh"}, {"/igtl/in/B/marker"}, {"/igtl/in/B/mesh", "/igtl/in/B/marker"}),
         ]
     ),
@@ -455,9 +497,9 @@ POSE = Transform((0.36, 0.48, -0.8, -0.8, 0.6, 0.0, 0.48, 0.64, 0.6, 1.0, 2.0, 3
 TOOL = rosmsg.TransformStamped(rosmsg.Header(T0_NS, "base"), "tool", (0.1, 0.2, 0.3), (0.0, 0.0, 0.6, 0.8))
 
 
-def watched_session() -> tuple[Session, list[Kind]]:
+def watched_session(config: Config | None = None) -> tuple[Session, list[Kind]]:
     """With one peer; and what took the full path since it came."""
-    gateway = Gateway(Config())
+    gateway = Gateway(config or Config())
     session = Session(gateway)
     note = Note(Level.INFO, LINK_UP, "", data={"peer": "127.0.0.1:1", "role": "server"})
     session.input(T0_NS, Kind.LINK, (note.pack(),), links=(1,))
