@@ -11,13 +11,14 @@ from igtl_gateway.edges.interface import RosSide
 from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.gateway import Gateway
 from igtl_gateway.gateway.core import is_kept
-from igtl_gateway.gateway.fastpath.passage_streams import OnPassed, PassageStreams
+from igtl_gateway.gateway.fastpath.passage_streams import SURFACE, OnPassed, PassageStreams
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.fates import CONVERTED
 from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.session import Core
 from igtl_gateway.native.passage import Link, Lock, Passage, Publisher, Subscription, is_compiled
+from igtl_gateway.wire.query import is_dialogue
 
 if TYPE_CHECKING:
     from igtl_gateway.record.recorder import Recorder
@@ -42,6 +43,8 @@ _MESSAGES_BEFORE_PYTHON = 16
 #: Streams: a peer that invents names must not flood the terminal.
 _MOST_REPORTED = 200
 _DIRECTIONS_IN = ("igtl_in", "ros_in")
+#: OpenIGTLink type → why it has no compiled stream; queries, commands and states are too rare for a report.
+_NOT_COMPILED = {"POLYDATA": SURFACE}
 
 _SHARES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999, "max_us": 1.0}
 
@@ -97,11 +100,12 @@ class StreamReports:
             states: (direction, stream) → "" or why Python passes it, of compiled streams.
         """
         found = {
-            (direction, stream): "its conversion is not compiled"
+            (direction, stream): _NOT_COMPILED.get(stream.partition("/")[0], "its conversion is not compiled")
             for direction in _DIRECTIONS_IN
             for stream in self._ledger.streams(direction)
             if (direction, stream) not in self._native
             and self._ledger.counter(direction, stream).get(CONVERTED, 0) >= _MESSAGES_BEFORE_PYTHON
+            and not is_dialogue(stream.partition("/")[0])
         }
         notes = []
         for key, why in sorted((found | dict(states)).items()):

@@ -190,9 +190,10 @@ COMPILED = False
 #: Conversions of bulk messages: STRING ⇄ String of ASCII, POINT of one point → PointStamped, POINT of unlabelled
 #: points ⇄ PointCloud2, POLYDATA with points only ⇄ PointCloud2, IMAGE ⇄ Image with everything but the pixels as in
 #: the sample, Image of BGR → IMAGE of RGB, POLYDATA of points and triangles ⇄ Mesh, and the same ⇄ Marker of triangles
-#: (to OpenIGTLink only without colours and rotation), TDATA and QTDATA ⇄ messages of poses with the sample's tools.
+#: (to OpenIGTLink only without colours and rotation), TDATA and QTDATA ⇄ messages of poses with the sample's tools,
+#: the metadata of any of them → Metadata, IMAGE → Volume with everything but the pixels as in the sample.
 #: Clouds to OpenIGTLink have only the fields x, y and z as float32; all numbers are finite.
-TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, MESH, TRIANGLES, TOOLS, METADATA = range(10)
+TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, MESH, TRIANGLES, TOOLS, METADATA, VOLUME = range(11)
 
 FillTemplate = Callable[..., tuple[Any, ...] | None]
 
@@ -200,8 +201,8 @@ FillTemplate = Callable[..., tuple[Any, ...] | None]
 #: ``at``, ``size``: the sizes of these two.  ``forms``: for each form the conversion, a template (for clouds and images
 #: up to the data; for a point the whole message; for a marker all but its points; for tools the whole message and its
 #: rows), the offsets of its stamp (0: none) and of its width (of a marker: of the number of its points; of tools: the
-#: bytes of one; of metadata: of the message id), and for a marker the number of bytes after the points, for tools that of
-#: the rows.
+#: bytes of one; of metadata: of the message id), and the number of bytes after the points of a marker or the pixels of a
+#: volume; for tools that of the rows.
 #: The result has None for a form that does not apply to the content.
 bulk_to_ros: FillTemplate | None = None
 

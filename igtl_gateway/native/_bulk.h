@@ -17,7 +17,7 @@
 #endif
 
 /* The conversions of bulk messages; the same numbers as in express.py. */
-enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3, PICTURE = 4, BLUE_FIRST = 5, MESH = 6, TRIANGLES = 7, TOOLS = 8, METADATA = 9 };
+enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3, PICTURE = 4, BLUE_FIRST = 5, MESH = 6, TRIANGLES = 7, TOOLS = 8, METADATA = 9, VOLUME = 10 };
 
 #define POINT_BYTES 136 /* name 64, group 32, rgba 4, position 12, diameter 4, owner 20 */
 #define GROUP_AT 64
@@ -434,7 +434,7 @@ struct ros_form {
     int form;
     const uint8_t *template;
     ssize_t room, stamp_at, width_at;
-    ssize_t rest; /* bytes of the template after the points of a marker; of tools: those of their rows */
+    ssize_t rest; /* bytes of the template after the points of a marker or the pixels of a volume; of tools: their rows */
     ssize_t count, cells; /* points and triangles, see prepare_form */
     ssize_t size;  /* of the message; 0: the row does not apply */
     uint8_t *out;
@@ -551,9 +551,9 @@ static int prepare_form(struct ros_form *form, const uint8_t *content, ssize_t s
         form->size = 4 + size + 1;
         return size >= 4 && size == 4 + (ssize_t)(head & 0xFFFF) && ascii_compatible(head >> 16);
     }
-    if (form->form == PICTURE) {
+    if (form->form == PICTURE || form->form == VOLUME) {
         form->size = form->room + size;
-        return size == (ssize_t)get_u32_ros(form->template + form->room - 4);
+        return size == (ssize_t)get_u32_ros(form->template + form->room - form->rest - 4);
     }
     if (form->form == TOOLS) {
         form->count = form->rest / TOOL_TO_ROS;
@@ -668,10 +668,10 @@ static void put_frame(const struct ros_form *form, ssize_t size, int64_t stamp_n
     }
     ssize_t before = form->room - form->rest;
     memcpy(out, form->template, (size_t)before);
-    if (form->form == TRIANGLES) {
+    if (form->form == TRIANGLES || form->form == VOLUME)
         memcpy(out + form->size - form->rest, form->template + before, (size_t)form->rest);
+    if (form->form == TRIANGLES)
         put_u32_ros(out + form->width_at, (uint32_t)(3 * form->cells));
-    }
     if (form->form == CLOUD || form->form == POINTS) {
         uint32_t bytes = (uint32_t)(form->size - form->room - 1);
         put_u32_ros(out + form->width_at, (uint32_t)form->count);
@@ -713,7 +713,9 @@ static uint32_t put_block(const struct ros_form *form, const struct igtl_bulk *s
 {
     float times = (float)stream->times, by = (float)stream->by;
     uint8_t *out = form->out + form->room;
-    if (form->form == PICTURE) {
+    if (form->form == VOLUME)
+        out -= form->rest;
+    if (form->form == PICTURE || form->form == VOLUME) {
         memcpy(out + begin, content + begin, (size_t)(end - begin));
         return 0;
     }

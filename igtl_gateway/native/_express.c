@@ -209,7 +209,7 @@ static PyObject *bulk_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t
             goto failed;
         form->template = (const uint8_t *)PyBytes_AS_STRING(template);
         form->room = PyBytes_GET_SIZE(template);
-        if (form->form < TEXT || form->form > METADATA || form->form == BLUE_FIRST || !has_room(form) ||
+        if (form->form < TEXT || form->form > VOLUME || form->form == BLUE_FIRST || !has_room(form) ||
             (form->form == METADATA && stream.sample[1] != 2)) {
             PyErr_SetString(PyExc_ValueError, "bulk_to_ros: a form without room for stamp and width");
             goto failed;

@@ -419,6 +419,7 @@ struct Stream {
     uint8_t *latest;
     ssize_t latest_size;
     char keeps;         /* to ROS: the latest message is kept, too */
+    unsigned waits;     /* of the latest message, see choose_outputs */
     struct kept *large; /* the latest message, if it is large */
     int is_in_use;      /* a thread passes a message on without the sequence lock and the GIL; atomic */
 };
@@ -734,6 +735,7 @@ struct chosen {
     struct ros_form forms[MAX_OUTPUTS]; /* of bulk */
     ssize_t sizes[MAX_OUTPUTS], bytes;  /* bytes: of all */
     int heard[MAX_OUTPUTS], count, wanted;
+    unsigned waits; /* bits of outputs of which Python keeps the latest message for their first subscriber */
 };
 
 /* Choose the outputs of a message, each of at most ``most`` bytes; 0: it must go to Python. */
@@ -741,7 +743,7 @@ static int choose_outputs(Passage *self, Stream *stream, const uint8_t *data, ss
                           struct chosen *chosen)
 {
     const struct igtl_bulk *bulk = &stream->bulk_from_igtl;
-    chosen->count = chosen->wanted = 0, chosen->bytes = 0;
+    chosen->count = chosen->wanted = 0, chosen->bytes = 0, chosen->waits = 0;
     for (int i = 0; i < stream->output_count; i++) {
         struct output *output = &stream->outputs[i];
         int count = chosen->count;
@@ -759,8 +761,11 @@ static int choose_outputs(Passage *self, Stream *stream, const uint8_t *data, ss
             return 0;
         }
         int hears = output->publisher->pointer && has_subscriber(self, output->publisher);
-        if (output->publisher->latched && !hears && !self->builds_all)
-            return 0; /* Python keeps it for the first subscriber */
+        if (output->publisher->latched && !hears && !self->builds_all) {
+            if (!stream->keeps)
+                return 0; /* Python keeps it for the first subscriber */
+            chosen->waits |= 1u << i;
+        }
         if (!hears && !self->builds_all)
             continue;
         chosen->wanted++;
@@ -829,6 +834,7 @@ static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize
     uint64_t seq = take_numbers(self, count, now_ns, stamp_ns);
     if (kept) {
         set_latest(stream, seq, stamp_ns, source_ns, kept);
+        stream->waits = chosen.waits;
         leave_kept(kept);
     }
     int64_t converted_ns = clock_ns(CLOCK_MONOTONIC);
@@ -1042,8 +1048,10 @@ static int admit_to_ros(Link *self, Stream *stream, const uint8_t *data, const s
     uint64_t seq = take_numbers(passage, chosen->count, now_ns, stamp_ns);
     reserve(passage, stream, chosen->outputs, chosen->sizes, chosen->count, seq, stamp_ns, source_ns, *shown_ns, size, slots);
     count_to_ros(passage, stream, chosen);
-    if (stream->keeps)
+    if (stream->keeps) {
         set_latest(stream, seq, stamp_ns, source_ns, kept);
+        stream->waits = chosen->waits;
+    }
     return 1;
 }
 
@@ -2032,8 +2040,8 @@ static PyObject *stream_collect(Stream *self, PyObject *nothing)
     uint64_t seq = self->latest_seq;
     PyObject *latest = Py_NewRef(Py_None), *bytes = seq ? latest_bytes(self) : NULL;
     if (seq)
-        Py_SETREF(latest, bytes ? Py_BuildValue("KLLN", (unsigned long long)seq, (long long)self->latest_stamp_ns,
-                                                (long long)self->latest_source_ns, bytes)
+        Py_SETREF(latest, bytes ? Py_BuildValue("KLLNI", (unsigned long long)seq, (long long)self->latest_stamp_ns,
+                                                (long long)self->latest_source_ns, bytes, self->waits)
                                 : NULL);
     self->latest_seq = 0;
     if (sent && ignored && latest)
@@ -2315,7 +2323,7 @@ static PyObject *passage_to_ros_bulk(Passage *self, PyObject *args)
             goto failed;
         output->form = (struct ros_form){.form = form, .template = output->template, .room = room, .stamp_at = stamp_at,
                                          .width_at = width_at, .rest = rest};
-        if (form < TEXT || (form > PICTURE && form != TOOLS && form != METADATA) || !has_room(&output->form) ||
+        if (form < TEXT || (form > PICTURE && form < TOOLS) || form > VOLUME || !has_room(&output->form) ||
             (form == METADATA && sample[1] != 2)) {
             PyErr_SetString(PyExc_ValueError, "to_ros_bulk: a form without room for stamp and width");
             goto failed;

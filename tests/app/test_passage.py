@@ -25,6 +25,9 @@ def test_a_stream_is_reported_once_and_again_when_it_becomes_native() -> None:
     reports = StreamReports(ledger)
     ledger.count("igtl_in", "SENSOR/Force", "converted", 1_000)
     ledger.count("igtl_in", "STATUS/Once", "converted")
+    ledger.count("igtl_in", "POLYDATA/Model", "converted", 1_000)
+    for rare in ("STATUS", "COMMAND", "GET_IMAGE", "STT_TDATA"):
+        ledger.count("igtl_in", f"{rare}/Slicer", "converted", 1_000)
     ledger.count("ros_in", "/denied", "received", 1_000)
     waits = {("igtl_in", "TRANSFORM/Tool"): "/tf waits", ("ros_in", "/robot"): ""}
     passes = dict.fromkeys(waits, "")
@@ -33,6 +36,7 @@ def test_a_stream_is_reported_once_and_again_when_it_becomes_native() -> None:
         ["/robot passes natively"],
         *([] for _ in range(4)),
         [
+            "POLYDATA/Model passes through Python: surfaces are converted by Python",
             "SENSOR/Force passes through Python: its conversion is not compiled",
             "TRANSFORM/Tool passes through Python: /tf waits",
         ],

@@ -262,7 +262,7 @@ class FastPath:
                 self._learned[key] = entry, origin
 
     def _admits(self, key: ToRosKey) -> bool:
-        """Return whether a stream may be compiled with its metadata; another one of its device may be dropped for it."""
+        """Return whether a stream may be compiled with its metadata; an older one of its device is dropped for it."""
         if not self._blocks.admits(key):
             return False
         if oldest := self._blocks.add(key):

@@ -31,17 +31,18 @@ from igtl_gateway.convert.express import (
     TEXT,
     TOOLS,
     TRIANGLES,
+    VOLUME,
     FillTemplate,
 )
+from igtl_gateway.convert.igtl_msgs import Metadata
 from igtl_gateway.convert.plus_signs import TrackedFrames
 from igtl_gateway.convert.polydata import exceeds_standard
-from igtl_gateway.convert.igtl_msgs import Metadata
 from igtl_gateway.convert.table import ConversionToRos, Role
 from igtl_gateway.convert.tracking import NOT_VALID
 from igtl_gateway.convert.trajectories import is_labeled
 from igtl_gateway.gateway.fastpath import metadata
 from igtl_gateway.gateway.fastpath.common import NAMES_AT, STAMP_AT, CompileContext, end_of_name
-from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos, Defer, Volume
+from igtl_gateway.gateway.fastpath.compiled_to_ros import Assembly, CompiledToRos, Defer
 from igtl_gateway.gateway.fastpath.tools import tools_form
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.to_ros.beforehand import Beforehand
@@ -72,6 +73,7 @@ _BULK_TO_ROS: dict[Callable[..., Any], int] = {
     surfaces.polydata_to_mesh: MESH,
     surfaces.polydata_to_marker: TRIANGLES,
     images.image_to_ros: PICTURE,
+    volumes.image_to_volume: VOLUME,
     tracking.tracking_to_ros: TOOLS,
     tracking.tracking_to_poses: TOOLS,
     tracking.tracking_to_tf: TOOLS,
@@ -84,6 +86,7 @@ _NEVER: frozenset[Callable[..., bool]] = frozenset(
         surfaces.has_lines,
         surfaces.is_point_cloud,
         exceeds_standard,
+        volumes.is_flat,
         volumes.exceeds_picture,
         volumes.has_slices,
     }
@@ -95,6 +98,7 @@ _ONE_POINT = PolyData(np.zeros((1, 3), ">f4"))
 #: Types whose streams can be compiled.
 TYPES = frozenset({*_POSES, "STRING", "POINT", "POLYDATA", "IMAGE", "TDATA", "QTDATA"})
 _U32 = struct.Struct("<I")
+_ALIGNED = 4  # in CDR: what follows the pixels of a volume
 #: In place of the form of a message that is not published.
 _LEFT_OUT: tuple[Any, ...] = ()
 #: Offset of the translation in the content.
@@ -127,7 +131,7 @@ def compile_to_ros(
             return None
     if size and (not isinstance(data, bytes) or at + size + tail != len(data)):
         return None
-    volume: Volume | None = None
+    volume: Assembly | None = None
     if isinstance(content := message.content, Image):
         if assembler is None or content.sub_size != content.dimensions:
             return None
@@ -177,16 +181,29 @@ def compile_to_ros(
         place_at,
         (common.waiting, latched),
         volume,
-        _defer(rows, to) if isinstance(content, PolyData) else None,
+        _defer(rows, to, volume and content, at) if isinstance(content, PolyData | Image) else None,
         frames.passed_over if frames and volume else None,
     )
 
 
-def _defer(rows: dict[str, ConversionToRos], to: ToRosContext) -> Defer:
-    """Return what keeps messages for the first subscribers of their topics, not decoded."""
-    return lambda entry, topic, stamp_ns: Waiting(
-        entry, rows[topic], None, replace(to, stamp_ns=stamp_ns, warnings=[], made={}), entry.size
-    )
+def _defer(rows: dict[str, ConversionToRos], to: ToRosContext, image: Any, at: int) -> Defer:
+    """Return what keeps messages for the first subscribers of their topics, not decoded.
+
+    ``image``: a sample of pictures, of which only the pixels from ``at`` on are new; None: of other messages.
+    """
+    if image is None:
+        return lambda entry, topic, stamp_ns: Waiting(
+            entry, rows[topic], None, replace(to, stamp_ns=stamp_ns, warnings=[], made={}), entry.size
+        )
+    size, sample = memoryview(image.pixels).nbytes, replace(image, pixels=b"")
+
+    def defer(entry: Entry, topic: str, stamp_ns: int) -> Waiting:
+        pixels = memoryview(entry.payload[0])[at : at + size]
+        alone = replace(entry, payload=())
+        context = replace(to, stamp_ns=stamp_ns, warnings=[], made={})
+        return Waiting(alone, rows[topic], replace(sample, pixels=pixels), context, size)
+
+    return defer
 
 
 def may_repeat(warnings: Sequence[tuple[str, str]]) -> bool:
@@ -226,12 +243,23 @@ def _bulk_form(row: ConversionToRos, content: Any, to: ToRosContext, beforehand:
         made = row.convert(_ONE_POINT, to)
     else:
         made = beforehand.message(content, row.convert) or row.convert(content, to)
+    if form == VOLUME:
+        return VOLUME, *_volume_template(made)
     # without its data, which may be a hundred megabytes; their size is the last of the template
     cdr, size = replace(made, data=b"").pack(), _U32.pack(memoryview(made.data).nbytes)
     if form == PICTURE:
         return form, cdr[: -_U32.size] + size, STAMP_AT, 0, 0
     frame_end = end_of_name(cdr, NAMES_AT)
     return form, cdr[: -1 - _U32.size] + size, STAMP_AT, frame_end + -frame_end % 4 + 4, 0
+
+
+def _volume_template(made: Any) -> tuple[bytes, int, int, int]:
+    """Return a volume without its pixels, the offset of its stamp, 0, and the size of what follows the pixels."""
+    size = memoryview(made.data).nbytes
+    rest = size % _ALIGNED  # as many bytes as decide how many follow to align the metadata
+    begin = len(replace(made, data=b"", metadata=()).pack()) - _U32.size
+    cdr = replace(made, data=bytes(rest)).pack()
+    return cdr[: begin - _U32.size] + _U32.pack(size) + cdr[begin + rest :], STAMP_AT, 0, len(cdr) - begin - rest
 
 
 def _marker_template(made: Any) -> tuple[bytes, int, int, int]:

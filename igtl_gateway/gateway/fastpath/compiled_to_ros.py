@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.assembly import Form, VolumeAssembler
 from igtl_gateway.convert.express import FillTemplate
-from igtl_gateway.convert.igtl_msgs import Metadata
+from igtl_gateway.convert.igtl_msgs import Metadata, Volume
 from igtl_gateway.convert.rosmsg import Image, Marker, Mesh, PointCloud2
 from igtl_gateway.gateway.fastpath.tools import has_tools
 from igtl_gateway.gateway.guarded_stream import GuardedStream
@@ -22,7 +22,7 @@ from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.to_ros.subscribers import HasSubscriber
 
 #: The assembler with the latest image of a device, and form and dtype of the images of a stream.
-Volume = tuple[VolumeAssembler, Form, np.dtype[Any]]
+Assembly = tuple[VolumeAssembler, Form, np.dtype[Any]]
 
 #: Entry, latched topic and ROS stamp (UTC ns) → what ``Subscribers.waiting`` has for the topic.
 Defer = Callable[[Entry, str, int], Any]
@@ -32,10 +32,28 @@ Outputs = tuple[tuple[str, str, tuple[Any, ...], dict[str, int]], ...]
 #: Outputs of a message, and what it was converted to.
 Prepared = tuple[Outputs, tuple[Any, ...]]
 
+
+class Passed(NamedTuple):
+    """The last message of those that have passed natively.
+
+    Attributes:
+        seq, stamp_ns, source_ns, links: of its entry.
+        payload: its bytes; of a large one, those before the content may be others.
+        waits: bits of the outputs that wait for their first subscriber.
+    """
+
+    seq: int
+    stamp_ns: int
+    source_ns: int
+    payload: Buffer
+    waits: int
+    links: tuple[int, ...]
+
+
 #: Gateway time (UTC ns) that no message has, in place of one that is not known yet.
 _NO_TIME = 0
 #: ROS types that begin with the only stamp that is set, and its place in CDR; and one without any.
-_HEADED = frozenset({Image.TYPE, PointCloud2.TYPE, Marker.TYPE, Metadata.TYPE})
+_HEADED = frozenset({Image.TYPE, PointCloud2.TYPE, Marker.TYPE, Metadata.TYPE, Volume.TYPE})
 _STAMPLESS = Mesh.TYPE
 _STAMP, _STAMP_AT = struct.Struct("<iI"), 4
 #: The translation in OpenIGTLink.
@@ -77,7 +95,7 @@ class CompiledToRos:
         watched: GuardedStream | None,
         place_at: int | None,
         waiting: tuple[dict[str, Any], frozenset[str]],
-        volume: Volume | None = None,
+        volume: Assembly | None = None,
         defer: Defer | None = None,
         passed_over: Callable[[int], None] | None = None,
     ) -> None:
@@ -110,24 +128,37 @@ class CompiledToRos:
     @property
     def waits(self) -> str:
         """Why only Python can pass its next message; "" if there is no cause."""
-        if not self._latched.isdisjoint(self._waiting):
+        if not self.keeps and not self._latched.isdisjoint(self._waiting):
             return "a latched topic of it waits for its first subscriber"
         if self._volume and not self._volume[0].takes(self._volume[1]):
             return "its images may be parts of a volume"
         return ""
 
-    def has_passed(self, messages: int, last: Buffer | None, seq: int) -> None:
-        """Take over what later messages depend on: how many have passed, and the last one if the stream ``keeps``.
-
-        ``seq``: number of its entry.
-        """
-        if self._volume and last is not None:
-            (at, size), (assembler, form, dtype) = self.places, self._volume
-            if seq > assembler.used:  # streams of two links with one device are taken over in any order
-                assembler.keep(form, dtype, memoryview(last)[at : len(last) - size])
-                assembler.used = seq
+    def has_passed(self, messages: int, last: Passed | None) -> None:
+        """Take over what later messages depend on: how many have passed, and the last one if the stream ``keeps``."""
+        if last and self.keeps:
+            shown_ns = last.source_ns if self.own and last.source_ns > 0 else last.stamp_ns
+            payload = (last.payload,)
+            entry = Entry(
+                *(last.seq, last.stamp_ns, Kind.IGTL_IN, self.channel, self.type, payload, last.links, last.source_ns)
+            )
+            late = (topic for number, (topic, _, _, _) in enumerate(self.outputs) if last.waits >> number & 1)
+            self._keep(entry, shown_ns, frozenset(late))
         if self._passed_over is not None:
             self._passed_over(messages)
+
+    def _keep(self, entry: Entry, shown_ns: int, later: frozenset[str]) -> None:
+        """Keep a message for those that may be parts of it, and for the first subscribers of topics."""
+        payload = entry.payload[0]
+        if self._volume:
+            (at, size), (assembler, form, dtype) = self.places, self._volume
+            if entry.seq > assembler.used:  # streams of two links with one device are taken over in any order
+                assembler.keep(form, dtype, memoryview(payload)[at : len(payload) - size])
+                assembler.used = entry.seq
+        for topic in self._latched:
+            self._waiting.pop(topic, None)
+        if self._defer is not None:
+            self._waiting.update((topic, self._defer(entry, topic, shown_ns)) for topic in later)
 
     def prepare(self, payload: Sequence[Buffer], ask: HasSubscriber | None) -> Prepared | bool:
         """Convert a message before it has a number; else return whether the full path has to convert it.
@@ -203,11 +234,8 @@ class CompiledToRos:
             published["published"] = published.get("published", 0) + 1
             parts = cdr if type(cdr) is tuple else (cdr,)
             entries.append(Entry(seq + step, stamp_ns + step, Kind.ROS_OUT, topic, ros_type, parts, (), shown_ns))
-        for topic in self._latched:
-            self._waiting.pop(topic, None)
-        if self._defer is not None:
-            self._waiting.update((topic, self._defer(entries[0], topic, shown_ns)) for topic in later)
-        self.has_passed(1, payload[0], seq)
+        self._keep(entries[0], shown_ns, later)
+        self.has_passed(1, None)
         count = self.count
         count["received"] = count.get("received", 0) + 1
         count["decoded"] = count.get("decoded", 0) + 1

@@ -1,9 +1,9 @@
 """Metadata of header version 2 in compiled streams to ROS.
 
-3D Slicer sends the same metadata with every message of a node: they are a constant part of its compiled stream, compared
-byte by byte, and so is the ROS message of them, in which only stamp and message id are new.  A device may have a few
-compiled streams, one for each of the blocks of metadata that it alternates between, such as those of a tool that is seen
-and of the same tool out of sight.
+3D Slicer sends the same metadata with every message of a node: they are a constant part of its compiled stream,
+compared byte by byte, and so is the ROS message of them, in which only stamp and message id are new.  A device may have
+a few compiled streams, one for each of the blocks of metadata that it alternates between, such as those of a tool that
+is seen and of the same tool out of sight.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def block_size(message: Buffer) -> int:
 
 
 def are_constant(message: Message) -> bool:
-    """Return whether a stream can be compiled with the metadata of a message: they have no stamp, and are as we write them."""
+    """Return whether a stream can be compiled with the metadata of a message: without a stamp, and as we write them."""
     return message.layout is None and all(item.key != STAMP for item in message.metadata)
 
 
@@ -82,8 +82,8 @@ class Blocks:
     def admits(self, key: ToRosKey) -> bool:
         """Return whether the stream of a message on the full path may be compiled.
 
-        The first block of a device may be at once, another one when it comes a second time running: metadata that change
-        with each message are never compiled.
+        The first block of a device may be at once, another one when it comes a second time running: metadata that
+        change with each message are never compiled.
         """
         device = key[0], names_of(key)
         if key == device:

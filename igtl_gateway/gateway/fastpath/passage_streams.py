@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
-from igtl_gateway.convert.express import BLUE_FIRST, CLOUD, METADATA, PICTURE, POINT, POINTS, TEXT, TOOLS
+from igtl_gateway.convert.express import BLUE_FIRST, CLOUD, METADATA, PICTURE, POINT, POINTS, TEXT, TOOLS, VOLUME
 from igtl_gateway.gateway.fastpath.common import Key
 from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
-from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos
+from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos, Passed
 from igtl_gateway.gateway.fastpath.metadata import names_of
 from igtl_gateway.gateway.guarded_stream import GuardedStream
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -21,7 +21,7 @@ from igtl_gateway.native.passage import Guard, Link, Passage, Publisher, Stream,
 from igtl_gateway.wire.header import HEADER_SIZE
 
 #: Conversions of bulk that can pass natively.
-_FORMS = frozenset({TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, TOOLS, METADATA})
+_FORMS = frozenset({TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, TOOLS, METADATA, VOLUME})
 
 #: Largest message, in bytes, that the passage reads for Python, if the limits of the links permit it.
 LARGEST_BYTES = 16 << 20
@@ -39,7 +39,7 @@ _SLICE = 4
 #: Why a stream has no copy.
 _BY_PYTHON = "Python has the connection, as with TLS"
 _NO_NUMBER = "the recorder has no more streams"
-_SURFACE = "surfaces are converted by Python"
+SURFACE = "surfaces are converted by Python"
 
 #: Kind, channel, type and links of entries → number of their stream in the recorder's queue; None: it has none.
 NumberOf = Callable[[Kind, str, str, tuple[int, ...]], int | None]
@@ -68,8 +68,11 @@ class NativeEdges(Protocol):
 class _Copy:
     """A compiled stream and its copy."""
 
-    def __init__(self, compiled: CompiledToRos | CompiledToIgtl, native: Stream, channel: str, ros_type: str) -> None:
+    def __init__(
+        self, compiled: CompiledToRos | CompiledToIgtl, native: Stream, channel: str, ros_type: str, link: int = 0
+    ) -> None:
         self.compiled = compiled
+        self.link = link  # where it comes from, if that is one
         self.native = native
         self.channel = channel
         self.ros_type = ros_type
@@ -268,7 +271,7 @@ class PassageStreams:
             publisher = self._edges.publisher(topic, ros_type)
             own_number = self._number_of(Kind.ROS_OUT, topic, ros_type, ())
             if not compiled.place_at and form[0] not in _FORMS:
-                return _SURFACE
+                return SURFACE
             if publisher is None and form[0] == POINT and not compiled.place_at:
                 publisher = self._later  # most messages have no single point, and its topic has no publisher
             if publisher is None:
@@ -292,14 +295,14 @@ class PassageStreams:
             tuple(outputs),
             *(() if place else (compiled.keeps,)),
         )
-        return _Copy(compiled, native, compiled.channel, compiled.type)
+        return _Copy(compiled, native, compiled.channel, compiled.type, link_number)
 
     def _copy_to_igtl(self, topic: str, ros_type: str, compiled: CompiledToIgtl) -> _Copy | str:
         """As `_copy_to_ros`."""
         subscription = self._edges.subscription(topic, ros_type)
         number = self._number_of(Kind.ROS_IN, topic, ros_type, ())
         if not (compiled.is_pose or compiled.size in _FORMS):
-            return _SURFACE
+            return SURFACE
         if subscription is None:
             return "the topic is published as well, or this rclpy lacks what the passage needs"
         if number is None:
@@ -341,14 +344,14 @@ class PassageStreams:
                 _add(counter, {"published": number})
             self._on_passed(Kind.IGTL_IN, received)
             self._on_passed(Kind.ROS_OUT, sum(sent))
-            compiled.has_passed(received, *((latest[3], latest[0]) if latest else (None, 0)))
+            compiled.has_passed(received, Passed(*latest, (copy.link,)) if latest else None)
         else:
             for (output, links, counter), number, left in zip(compiled.outputs, sent, ignored, strict=True):
                 _add(counter, {"sent": number * links})
                 if left:
                     self._edges.ignore(output.channel, left)
             if latest:
-                seq, stamp_ns, source_ns, cdr = latest
+                seq, stamp_ns, source_ns, cdr, _ = latest
                 for peer in compiled.peers:
                     peer.last_sent_ns = stamp_ns
                     peer.sent += received

@@ -64,6 +64,8 @@ struct probe_message {
     const uint64_t *flips; /* NULL: the number is not part of what the CRC covers */
     uint64_t crc;          /* of the first number */
     uint8_t initial[16];   /* the first number */
+    int64_t id_at;            /* of the message id of header version 2, which is the number, too; 0: there is none */
+    const uint64_t *id_flips; /* those of the CRC; of the first message it is 0 */
 };
 
 /* A connection; the mutex keeps messages of two threads apart. */
@@ -265,6 +267,14 @@ void probe_set_number(struct probe_message *message, int64_t number) {
     for (uint32_t at = 0; at < form->size; ++at)
         for (unsigned differs = place[at] ^ message->initial[at]; differs; differs &= differs - 1)
             crc ^= message->flips[8 * at + (unsigned)__builtin_ctz(differs)];
+    if (message->id_at) {
+        const uint32_t id = htobe32((uint32_t)number);
+        uint8_t *id_place = message->bytes + message->id_at;
+        memcpy(id_place, &id, 4);
+        for (uint32_t at = 0; at < 4; ++at)
+            for (unsigned set = id_place[at]; set; set &= set - 1)
+                crc ^= message->id_flips[8 * at + (unsigned)__builtin_ctz(set)];
+    }
     crc = htobe64(crc);
     memcpy(message->bytes + CRC_AT, &crc, 8);
 }

@@ -104,6 +104,16 @@ PAYLOADS: dict[str, Callable[[], Payload]] = {
     "image-fullhd-n": partial(payloads.image, 1920, 1080, stamped=False),
 }
 
+#: Kind → what it is if 3D Slicer sends it, to ROS only; beside what has a number in its content as well.
+SLICER: dict[str, str] = {
+    **{
+        kind: f"{kind.removesuffix('-n')}-s"
+        for kind in PAYLOADS
+        if kind.endswith("-n") and not kind.startswith("cloud")
+    },
+    "string-100": "string-100-s",
+}
+_FROM_SLICER = {sent: kind for kind, sent in SLICER.items()}
 
 #: The same for pictures of other sizes, by how many bytes they have, about.
 SIZES: dict[int, str] = {
@@ -117,6 +127,8 @@ def payload(kind: str) -> Payload:
     """What a kind of message is; made when it is needed, for the largest has 50 MB."""
     if kind in PAYLOADS:
         return PAYLOADS[kind]()
+    if kind in _FROM_SLICER:
+        return payloads.from_slicer(PAYLOADS[_FROM_SLICER[kind]]())
     (size,) = (size for size, name in SIZES.items() if name == kind)
     height = math.isqrt(size // 4)  # of 4:3, three bytes a pixel
     return payloads.image(size // 3 // height, height)
@@ -147,6 +159,15 @@ _RATES = {"image-4k": 5.0, "polydata-600k": 1.0}
 
 CASES: dict[str, Case] = {
     **{kind: Case(kind, (BenchStream(kind, _RATES.get(kind, USUAL_HZ)),), _TEXTS[kind]) for kind in PAYLOADS},
+    **{
+        sent: Case(
+            sent,
+            (BenchStream(sent, USUAL_HZ),),
+            f"{kind} as 3D Slicer sends it: header version 2, four metadata, an id",
+            ways=(Direction.IGTL_TO_ROS,),
+        )
+        for kind, sent in SLICER.items()
+    },
     "mixed": Case(
         "mixed",
         (

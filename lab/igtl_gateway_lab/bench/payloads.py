@@ -15,7 +15,7 @@ import ctypes
 import math
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -26,10 +26,12 @@ from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.igtl_msgs import TrackedTool, TrackingData
 from igtl_gateway.convert.poses import rotation_matrix
 from igtl_gateway.convert.rosmsg import PointCloud2
-from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire import Item, Message, encode
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.header import HEADER_SIZE, TICKS_AT
+from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD
 from igtl_gateway.wire.image import Image
+from igtl_gateway.wire.message import EXTENDED_SIZE, MESSAGE_ID_AT
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import Cells, PolyData
 from igtl_gateway.wire.text import String
@@ -46,7 +48,11 @@ _UNSET = rosmsg.Header(0, "Base")
 _DIGITS = 10
 _CDR_AT = 4  # behind the encapsulation
 _MESH_HEAD = 40  # of POLYDATA, before its points
+_TRANSLATION_AT = 36  # of TRANSFORM, behind its rotation
 _POINT_AT = 100  # of POINT, before the coordinates of the first: its name, group and colour
+
+#: Of messages of header version 2.
+ID_AT = HEADER_SIZE + MESSAGE_ID_AT
 
 #: So much is sent at once in a flood of small messages.
 _BATCH_BYTES = 16 << 10
@@ -71,6 +77,7 @@ class Form:
         write: those bytes.
         number: of a message.
         numbers: of many: from an array with a row of those bytes for each.
+        has_id: the message has an id, which is the number, too.
     """
 
     at: int
@@ -79,6 +86,7 @@ class Form:
     write: Callable[[int], bytes]
     number: Number
     numbers: Callable[[Bytes], Numbers]
+    has_id: bool = False
 
     def place(self, message: Buffer) -> int:
         """Return the offset of the number in a message."""
@@ -149,6 +157,7 @@ class Payload:
         ros: makes a ROS message.
         content: makes the content of the OpenIGTLink message of a number.
         forms: where the number is in ROS and in OpenIGTLink.
+        metadata: of the OpenIGTLink message, which has header version 2 then, and the number as its id.
     """
 
     ros_type: str
@@ -157,6 +166,7 @@ class Payload:
     ros: Callable[[rosmsg.Header], rosmsg.RosMessage]
     content: Callable[[int], Body]
     forms: tuple[Form, Form] = _STAMPS
+    metadata: tuple[Item, ...] = ()
 
     def ros_maker(self) -> Callable[[int], bytes]:
         """Makes ROS messages: the same bytes again and again with another number, so each is to be sent before the
@@ -179,14 +189,19 @@ class Payload:
         """Makes OpenIGTLink messages, as ``ros_maker`` does."""
         _, form = self.forms
         if form.is_in_body:  # the CRC is another one each time
-            return lambda number: join(encode(Message(self.igtl_type, device, self.content(number))))
-        data = bytearray(join(encode(Message(self.igtl_type, device, self.content(0)))))
+            return lambda number: self._igtl(device, number)
+        data = bytearray(self._igtl(device, 0))
 
         def make(number: int) -> Buffer:
             data[form.at : form.at + form.size] = form.write(number)
             return data
 
         return make
+
+    def _igtl(self, device: str, number: int) -> bytes:
+        version = 2 if self.metadata else 1
+        content, items = self.content(number), self.metadata
+        return join(encode(Message(self.igtl_type, device, content, 0, version, number if items else 0, items)))
 
     def igtl_batch(self, device: str) -> tuple[int, Batch]:
         """Makes several OpenIGTLink messages at once; and how many at most."""
@@ -359,6 +374,48 @@ def image(width: int, height: int, *, stamped: bool = True) -> Payload:
         lambda header: rosmsg.Image(header, height, width, "rgb8", 0, 3 * width, data),
         lambda _number: Image((width, height, 1), 3, data, 3),
     )
+
+
+def from_slicer(made: Payload) -> Payload:
+    """The same as 3D Slicer sends it: without a stamp, with an id and the metadata of a node.
+
+    A picture has its centre, points have names.
+    """
+    ros, _ = made.forms
+    form = replace(_IN_VERSION_2[made.igtl_type], has_id=True)
+    return replace(made, content=lambda number: _of_node(made.content(number)), forms=(ros, form), metadata=_NODE)
+
+
+#: The number in messages without a stamp of header version 2.
+_CONTENT_AT = HEADER_SIZE + EXTENDED_SIZE
+_IN_VERSION_2 = {
+    "TRANSFORM": _of_struct(_CONTENT_AT + _TRANSLATION_AT, ">f"),
+    "STRING": _of_text(_CONTENT_AT + 4),
+    "POINT": _of_struct(_CONTENT_AT + _POINT_AT, ">f"),
+    "IMAGE": _of_struct(_CONTENT_AT + IMAGE_HEAD, "<I"),
+}
+_NODE = tuple(
+    Item(key, value)
+    for key, value in (
+        ("MRMLNodeName", b"Probe"),
+        ("STREAM_ID_FROM", b"unknown"),
+        ("STREAM_ID_TO", b"unknown"),
+        ("TransformStatus", b"OK"),
+    )
+)
+
+
+def _of_node(content: Body) -> Body:
+    """Return what a node of 3D Slicer has of a content."""
+    if isinstance(content, Image):
+        columns, rows, slices = content.dimensions
+        centre = ((columns - 1) / 2, (rows - 1) / 2, (slices - 1) / 2)
+        return replace(content, wire_matrix=(*Image.IDENTITY[:9], *centre))
+    if isinstance(content, Points):
+        elements = content.elements.copy()
+        elements["name"] = [b"F-%d" % number for number in range(1, len(elements) + 1)]
+        return Points(elements)
+    return content
 
 
 def _cloud(header: rosmsg.Header, xyz: npt.NDArray[np.float64]) -> rosmsg.PointCloud2:

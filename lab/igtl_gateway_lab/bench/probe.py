@@ -20,7 +20,7 @@ import numpy.typing as npt
 import igtl_gateway.native
 from igtl_gateway.wire.header import CRC, HEADER_SIZE, crc64
 from igtl_gateway_lab.bench.jobs import JobStream
-from igtl_gateway_lab.bench.payloads import Form, Payload
+from igtl_gateway_lab.bench.payloads import ID_AT, Form, Payload
 from igtl_gateway_lab.bench.processes import BenchError
 
 SOURCE = Path(__file__).with_name("_probe.c")
@@ -81,6 +81,8 @@ class _Message(Structure):
         ("flips", c_void_p),
         ("crc", c_uint64),
         ("initial", c_uint8 * _INITIAL_SIZE),
+        ("id_at", c_int64),
+        ("id_flips", c_void_p),
     )
 
 
@@ -140,13 +142,17 @@ class OutStream:
         self.data = np.frombuffer(data, np.uint8).copy()
         self._progress: memoryview | None = None
         # a message of OpenIGTLink whose number is in its body: the CRC changes with each
-        self._flips = _crc_flips(self.data, form) if not publisher and form.is_in_body else None
+        in_body = not publisher and form.is_in_body
+        self._flips = _crc_flips(self.data, form.place(data), form.size) if in_body else None
+        self._id_flips = _crc_flips(self.data, ID_AT, 4) if in_body and form.has_id else None
         self.struct = _Out(publisher=publisher, link=link)
         message = self.struct.message
         message.bytes, message.size, message.form = self.data.ctypes.data, self.data.nbytes, _form(form)
         if self._flips is not None:
             message.flips = self._flips.ctypes.data
             message.crc = int.from_bytes(data[CRC], "big")
+        if self._id_flips is not None:
+            message.id_at, message.id_flips = ID_AT, self._id_flips.ctypes.data
         ctypes.memmove(message.initial, form.write(0), form.size)
 
     def pace(self, part: JobStream, offset_ns: int, progress: memoryview | None) -> None:
@@ -278,13 +284,13 @@ def _form(form: Form) -> _Form:
     return _Form(form.at, _LAYOUTS.index(form.layout), form.size)
 
 
-def _crc_flips(data: npt.NDArray[np.uint8], form: Form) -> npt.NDArray[np.uint64]:
-    """Which bits of the CRC change with each bit of the number."""
+def _crc_flips(data: npt.NDArray[np.uint8], place: int, size: int) -> npt.NDArray[np.uint64]:
+    """Which bits of the CRC change with each bit of a number at this place."""
     body = data[HEADER_SIZE:].copy()
-    at = form.place(data.data) - HEADER_SIZE
+    at = place - HEADER_SIZE
     crc = crc64(body.data)
     flips = []
-    for bit in range(8 * form.size):
+    for bit in range(8 * size):
         body[at + bit // 8] ^= 1 << bit % 8
         flips.append(crc ^ crc64(body.data))
         body[at + bit // 8] ^= 1 << bit % 8

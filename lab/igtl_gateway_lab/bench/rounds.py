@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from statistics import median_low
 from typing import Any
 
+from igtl_gateway_lab.bench.cases import SLICER
 from igtl_gateway_lab.bench.figures import Row, ratio
 
 #: Numeric fields that identify a measurement, besides all fields without numbers.
@@ -85,6 +86,26 @@ def with_costs(rows: Sequence[Row]) -> list[Row]:
     plain = {key(row): row for row in rows if not row.get("recording")}
     recorded = {key(row): row for row in rows if row.get("recording") and not row.get("sealed")}
     return [row | _cost(row, plain.get(key(row)), recorded.get(key(row))) for row in rows]
+
+
+def against_version_1(rows: Sequence[Row]) -> list[Row]:
+    """The rows, those of what 3D Slicer sends with how many times they took of the same in header version 1."""
+
+    def key(case: str, row: Row) -> tuple[Any, ...]:
+        return case, row.get("direction"), row.get("recording"), row.get("bridge"), row.get("peer")
+
+    first = {key(SLICER[row["case"]], row): row for row in rows if row["case"] in SLICER}
+    return [row | _of_version_1(row, first.get(key(row["case"], row))) for row in rows]
+
+
+def _of_version_1(row: Row, first: Row | None) -> Row:
+    if first is None:
+        return {}
+    cpu = "gateway_cpu_us_per_message"
+    return {
+        "version_1_p50_ratio": ratio(row["p50_ms"], first["p50_ms"]),
+        "version_1_cpu_ratio": ratio(row.get(cpu), first.get(cpu)),
+    }
 
 
 def _cost(row: Row, plain: Row | None, recorded: Row | None) -> Row:

@@ -21,12 +21,12 @@ from igtl_gateway.cli.options import add_json, default
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway_lab.bench import flame
 from igtl_gateway_lab.bench.bounds import shown, with_verdict
-from igtl_gateway_lab.bench.cases import CASES, FLOOD, TABLE_1, Case, Direction
+from igtl_gateway_lab.bench.cases import CASES, FLOOD, SLICER, TABLE_1, Case, Direction
 from igtl_gateway_lab.bench.figures import Row
 from igtl_gateway_lab.bench.peers import PEERS, lacks
 from igtl_gateway_lab.bench.plot import latency_plots, sweep_plots
 from igtl_gateway_lab.bench.probe import lacks_probe
-from igtl_gateway_lab.bench.rounds import merge_rounds, with_costs
+from igtl_gateway_lab.bench.rounds import against_version_1, merge_rounds, with_costs
 from igtl_gateway_lab.bench.runner import NATIVE, PYTHON, BenchPlan, Extent, Runner
 from igtl_gateway_lab.bench.sweeps import SWEEPS, fit_lines
 from igtl_gateway_lab.bench.works import WORKS, WorkContext
@@ -45,6 +45,8 @@ EXAMPLES = """\
   igtl-gateway bench --case transform --zenoh
   # also with the C++ library and pyigtl as peers
   igtl-gateway bench --case transform image-vga --peers
+  # also as 3D Slicer sends it, in turns with header version 1
+  igtl-gateway bench --case transform-n --rate 1000 --direction igtl-to-ros --peer slicer
   # in turns with another bridge (docs/evidence/performance.md)
   igtl-gateway bench --case transform --against "my_bridge --port {port}"
   # measurements other than the transfer of messages
@@ -56,6 +58,7 @@ EXAMPLES = """\
   # Table 1 of the ROS-IGTL-Bridge paper: 1000 messages each, 30 Hz
   igtl-gateway bench --table1 --plot out"""
 
+_SLICER = "slicer"
 _TABLE_COUNT, _TABLE_HZ = 1000, 30.0
 _MOST_S, _MOST_HZ, _MOST_COUNT, _MOST_ROUNDS = 3600.0, 100_000.0, 10_000_000, 100
 _BOTH = "both"
@@ -151,6 +154,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     comparisons.add_argument(
         "--peers", action="store_true", help=f"also measure with {' and '.join(PEERS)} as peer, if installed"
     )
+    comparisons.add_argument(
+        "--peer",
+        choices=(_SLICER,),
+        help="also send to ROS what this program sends instead: header version 2, its metadata and ids, no stamps; "
+        f"of {', '.join(SLICER)}",
+    )
     plots = parser.add_argument_group("plots")
     plots.add_argument("--plot", type=Path, metavar="DIR", help="write plots of the result (SVG) to this directory")
     plots.add_argument("--flame", type=Path, metavar="FILE", help="write a flame graph of the gateway (SVG, py-spy)")
@@ -208,7 +217,7 @@ class _Group:
 
 def _measured(runner: Runner, group: _Group) -> list[Row]:
     """One round."""
-    return with_costs([row | group.marks for plan in group.plans for row in runner.measure(plan)])
+    return against_version_1(with_costs([row | group.marks for plan in group.plans for row in runner.measure(plan)]))
 
 
 def _selected(options: argparse.Namespace) -> tuple[list[_Group], list[str]]:
@@ -277,7 +286,18 @@ def _group(case: Case, directions: tuple[Direction, ...], extent: Extent, option
     if options.zenoh:
         same = replace(plan, programs=PYTHON, hop=False, against=())
         over = [*([same] if plan.programs != PYTHON else []), replace(same, zenoh=True)]
-    return _Group((plan, *recorded, *over, *(_with_peers(plan) if options.peers else ())))
+    slicer = [_from_slicer(one, options) for one in (plan, *recorded)] if options.peer else []
+    return _Group((plan, *recorded, *slicer, *over, *(_with_peers(plan) if options.peers else ())))
+
+
+def _from_slicer(plan: BenchPlan, options: argparse.Namespace) -> BenchPlan:
+    """The same to ROS, as 3D Slicer sends it.  Raises ConfigError."""
+    name = plan.case.name
+    if name not in SLICER or Direction.IGTL_TO_ROS not in plan.directions:
+        expected = f"a case of {', '.join(SLICER)}, to ROS"
+        raise ConfigError(f"--peer {options.peer}: found {name} {plan.directions[0].value}, expected {expected}")
+    case = _at_rate(CASES[SLICER[name]], options)
+    return replace(plan, case=case, directions=case.ways, against=())
 
 
 def _in_flames(groups: list[_Group], works: list[str], options: argparse.Namespace) -> list[_Group]:
@@ -355,6 +375,10 @@ def _remarks(row: Row) -> list[str]:
     if "sealing_p50_ratio" in row:
         times = " and ".join(f"{name} {row[f'sealing_{name}_ratio']} times" for name in ("p50", "p99"))
         told.append(f"{times} that without seals, {row['sealing_cpu_percent']} % of a core more")
+    if "version_1_p50_ratio" in row:
+        told.append(
+            f"p50 {row['version_1_p50_ratio']} and CPU {row['version_1_cpu_ratio']} times those of header version 1"
+        )
     for name, key in (("DDS", "floor_dds_per_s"), ("Zenoh", "floor_zenoh_per_s")):
         if key not in row:
             continue

@@ -98,8 +98,8 @@ SLICER = tuple(
     )
 )
 MISSING = (*SLICER[:3], Item("TransformStatus", b"MISSING"))
-#: Metadata of messages: those of Slicer, in other orders, with keys twice, without values, in other encodings, long ones,
-#: and those that have a meaning for the gateway.
+#: Metadata of messages: those of Slicer, in other orders, with keys twice, without values, in other encodings, long
+#: ones, and those that have a meaning for the gateway.
 BLOCKS: tuple[tuple[Item, ...], ...] = (
     *(SLICER, SLICER, SLICER, MISSING, MISSING),
     *((), (Item("key", b"value"),), SLICER[::-1], (*SLICER, SLICER[0]), (Item("", b""),)),
@@ -207,11 +207,11 @@ def _surface(draw: st.DrawFn) -> PolyData:
 
 
 def _image(draw: st.DrawFn) -> Image:
-    size = draw(st.sampled_from([(2, 3, 1), (2, 3, 1), (40, 30, 1), (2, 1, 2)]))
+    size = draw(st.sampled_from([(2, 3, 1), (2, 3, 1), (5, 1, 1), (40, 30, 1), (2, 1, 2)]))
     part = _mostly(draw, size, (1, 1, 1))
-    scalar, components = _mostly(draw, (3, 3), (5, 1), (7, 1), (3, 1))
+    scalar, components = _mostly(draw, draw(st.sampled_from([(3, 3), (3, 1)])), (5, 1), (7, 1))
     pixels = bytes([draw(st.integers(0, 255))]) * (math.prod(part) * components * np.dtype(SCALARS[scalar]).itemsize)
-    matrix = _mostly(draw, Image.IDENTITY, (2.0, *Image.IDENTITY[1:]))
+    matrix = draw(st.sampled_from([Image.IDENTITY, (*Image.IDENTITY[:9], 1.0, 2.0, 0.0), (2.0, *Image.IDENTITY[1:])]))
     return Image(size, scalar, pixels, components, draw(st.sampled_from([1, 2, 2])), 1, matrix, (0, 0, 0), part)
 
 
@@ -383,7 +383,9 @@ def others(draw: st.DrawFn) -> Step:
     kinds = [LINK_UP, LINK_DOWN, "STT", "STP", "GET", LISTENED, SETTING]
     kind, link = draw(st.sampled_from(kinds)), draw(st.sampled_from([1, 2, 3]))
     if kind == LISTENED:
-        return "listened", draw(st.sampled_from(["/igtl/in/B/points", "/igtl/in/B/mesh", "/igtl/in/B/marker"]))
+        return "listened", draw(
+            st.sampled_from(["/igtl/in/B/points", "/igtl/in/B/mesh", "/igtl/in/B/marker", "/igtl/in/B/volume"])
+        )
     if kind == SETTING:
         return "change", draw(st.sampled_from(CHANGES))
     if kind in ("STT", "STP", "GET"):
@@ -476,6 +478,7 @@ def test_a_session_with_the_fast_path_is_the_session_without(
     st.sampled_from(
         [
             *(None, set(), {"/igtl/in/B/point"}, {"/igtl/in/B/points", "/igtl/in/B/image"}, {"/igtl/in/B/metadata"}),
+            *({"/igtl/in/B/image"}, {"/igtl/in/B/volume"}),
             *({"/igtl/in/B/mesh"}, {"/igtl/in/B/marker"}, {"/igtl/in/B/mesh", "/igtl/in/B/marker"}),
         ]
     ),

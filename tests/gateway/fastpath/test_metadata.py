@@ -14,7 +14,7 @@ from igtl_gateway.base.buffers import join
 from igtl_gateway.base.stamp import ns_to_ticks
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert import express
-from igtl_gateway.convert.igtl_msgs import Metadata
+from igtl_gateway.convert.igtl_msgs import Metadata, Volume
 from igtl_gateway.gateway import Session
 from igtl_gateway.gateway.fastpath.metadata import LARGEST_BLOCK, MOST_BLOCKS, block_size, to_ros_key
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -66,6 +66,8 @@ CONTENTS = [
     pytest.param("POINT", Points.of(np.ones((3, 3))), marks=compiled),
     pytest.param("IMAGE", Image((2, 2, 1), 3, bytes(12), 3), marks=compiled),
 ]
+#: 3D Slicer states the centre of a picture, so that there is always a Volume beside the Image.
+CENTRED = (*Image.IDENTITY[:9], 149.5, 149.5, 0.0)
 
 
 @pytest.mark.parametrize(("name", "content"), CONTENTS)
@@ -173,7 +175,7 @@ def test_texts_points_and_pictures_of_slicer_pass_natively(monkeypatch: pytest.M
     contents: dict[str, Any] = {
         "STRING": lambda number: StringBody.of(f"text {number}"),
         "POINT": lambda number: Points.of(np.full((1 + number % 5, 3), number, ">f4")),
-        "IMAGE": lambda number: Image((side, side, 1), 3, bytes([number]) * (3 * side * side), 3),
+        "IMAGE": lambda number: Image((side, side, 1), 3, bytes([number]) * (3 * side * side), 3, wire_matrix=CENTRED),
     }
     with scene(monkeypatch, config, path) as here:
         peer, count = here.connect(), 0
@@ -183,7 +185,7 @@ def test_texts_points_and_pictures_of_slicer_pass_natively(monkeypatch: pytest.M
             for name, content in contents.items():
                 peer.send(sent(number, MISSING if number % 3 == 0 else SLICER, name, content(number), time.time_ns()))
                 count += 1
-                wait_for(lambda: here.received("igtl_in") == count)
+                wait_for(lambda count=count: here.received("igtl_in") == count)
 
         for number in (1, 2, 4, 5, 7, 8, 9, 9, 9, 9, 10, 12):
             send(number)
@@ -214,3 +216,35 @@ def test_a_subscriber_of_metadata_that_comes_later_gets_them(monkeypatch: pytest
         assert found == [20]
 
 
+@native
+def test_a_picture_of_slicer_waits_for_the_first_subscriber_of_its_volume(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its Image passes natively meanwhile."""
+    image, volume, side = "/igtl/in/Probe/image", "/igtl/in/Probe/volume", 301
+    with scene(monkeypatch) as here:
+        peer = here.connect()
+
+        def send(number: int) -> None:
+            picture = Image((side, side, 1), 3, bytes([number]) * (side * side), 1, wire_matrix=CENTRED)
+            peer.send(sent(number, SLICER, "IMAGE", picture, time.time_ns()))
+            wait_for(lambda: here.received("igtl_in") == number + 1)
+
+        for number in range(3):
+            send(number)
+        here.middleware.subscribers[volume] = 0
+        for number in range(3, 20):
+            send(number)
+        with counted_by_python(here) as handled:
+            for number in range(20, 25):
+                send(number)
+        assert handled == []
+        here.middleware.subscribers[volume] = 1
+        traffic = here.bridge._traffic
+        assert traffic
+        traffic._on_first_subscriber(volume)
+        wait_for(lambda: any(topic == volume for topic, _ in here.middleware.published))
+        send(25)
+        published = list(here.middleware.published)
+        assert sum(topic == image for topic, _ in published) == 26
+        volumes = [Volume.unpack(cdr) for topic, cdr in published if topic == volume]
+        assert [bytes(one.data[:1])[0] for one in volumes] == [0, 1, 2, 24, 25]
+        assert [one.value for one in volumes[0].metadata] == ["Probe", "unknown", "unknown", "OK"]
