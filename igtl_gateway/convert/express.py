@@ -201,8 +201,8 @@ FillTemplate = Callable[..., tuple[Any, ...] | None]
 #: ``at``, ``size``: the sizes of these two.  ``forms``: for each form the conversion, a template (for clouds and images
 #: up to the data; for a point the whole message; for a marker all but its points; for tools the whole message and its
 #: rows), the offsets of its stamp (0: none) and of its width (of a marker: of the number of its points; of tools: the
-#: bytes of one; of metadata: of the message id), and the number of bytes after the points of a marker or the pixels of a
-#: volume; for tools that of the rows.
+#: bytes of one; of metadata: of the message id), and the number of bytes after the points of a marker or the pixels of
+#: a volume; for tools that of the rows.
 #: The result has None for a form that does not apply to the content.
 bulk_to_ros: FillTemplate | None = None
 
