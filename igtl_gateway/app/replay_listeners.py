@@ -158,6 +158,8 @@ class Listeners:
 
 
 def _may_send(peer: Peer, profile: PeerProfile, igtl_type: str) -> bool:
+    if igtl_type == "RTS_COMMAND" and profile is not _SILENT and profile.replies is not None:
+        return False  # it replies to what another program asked: 3D Slicer logs a warning
     if profile.may_send(igtl_type):
         return True
     # a listener that is not recognised may have shown that it knows the type

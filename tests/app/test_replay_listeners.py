@@ -57,9 +57,16 @@ def sent_of_every_type() -> list[Entry]:
 def test_slicer_gets_no_query_and_no_reply_that_crashes_it() -> None:
     made = listeners(HELLO)
     for one in sent_of_every_type():
-        crashes = split_query(one.type) is not None and one.type != "RTS_TDATA"
+        crashes = one.type == "RTS_COMMAND" or (split_query(one.type) is not None and one.type != "RTS_TDATA")
         assert (got(made, one) is None) == crashes, one.type
     assert made.left_out["127.0.0.1:5000", "slicer", "GET_STATUS"]
+
+
+def test_slicer_gets_no_recorded_reply_to_a_command() -> None:
+    """It has not asked: its log would have a warning for each."""
+    replies = [one for one in sent_of_every_type() if one.type == "RTS_COMMAND"]
+    assert replies and not [one for one in replies if got(listeners(HELLO), one)]
+    assert all(got(listeners(), one) for one in replies)
 
 
 def test_slicer_gets_pixels_and_attributes_that_it_reads() -> None:
