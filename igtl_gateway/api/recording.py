@@ -323,6 +323,8 @@ def open(path: str | Path, *, limits: FileLimits | Mapping[str, int] | None = No
     if count := whole.entry_count - file.entry_count:
         warnings.append(f"{path}: begins midway; its first {count:,} messages were latched before")
     file = whole
+    if file.merge:
+        warnings += [f"{path}: reported by {each}" for each in file.merge.reported]
     warnings += [f"{each.topic} ({each.count:,} messages) is not read: {each.why}" for each in file.skipped]
     return Recording(Source(file, bounds, file.start_ns, file.end_ns), str(path), tuple(warnings), resources)
 

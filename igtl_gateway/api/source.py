@@ -130,7 +130,7 @@ class Source:
 
     @cached_property
     def _shared_topics(self) -> dict[str, str]:
-        found: dict[str, str] = {}
+        found: dict[str, str] = self.file.merge.shared_topics if self.file.merge else {}
         for entry in self.limited(lambda: self.file.entries_of_kinds({Kind.NOTE})):
             if entry.kind is Kind.NOTE and NAME_SHARED.encode() in bytes(entry.data()):
                 note = Note.of(entry.data())

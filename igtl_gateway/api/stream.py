@@ -253,9 +253,11 @@ class Stream:
 
     def check_sender(self) -> None:
         """Raise SeveralSenders if several peers sent the messages in turn: together they are not one movement."""
-        if self.direction == "ros_out" and (stream := self._source.shared_topics().get(self.name)):
+        if self.direction.startswith("ros") and (stream := self._source.shared_topics().get(self.name)):
+            _, part, its = stream.split("/", 2) if stream.startswith("/") else ("", "", stream)  # of a merged session
+            place = f"igtl_gateway.open('{self._source.file.path}/{part}')" if part else "recording"
             raise SeveralSenders(
-                f"{self.key}: found messages of several peers, expected those of one, as in recording['{stream}@LINK']"
+                f"{self.key}: found messages of several peers, expected those of one, as in {place}['{its}@LINK']"
             )
         if self.direction == "igtl_in" and is_mixed(self.links):
             links = " and ".join(map(str, np.unique(self.links)))

@@ -40,6 +40,8 @@ def print_merge(facts: Mapping[str, Any]) -> None:
 def _remarks(facts: Mapping[str, Any]) -> Iterator[str]:
     for text in facts["left_out"]:
         yield f"left out, as it contradicts the other streams: {text}"
+    for text in facts.get("reported", ()):
+        yield f"reported by {text}"
     for part in facts["parts"]:
         if part.get("sealed_by"):
             yield (

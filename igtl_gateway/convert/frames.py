@@ -204,12 +204,27 @@ class FrameTree:
         target_pose, base_pose = (self._climb(part, stamp_ns) for part in chain)
         return stamp_ns, compose(_inverse(base_pose), target_pose) if chain[1] else target_pose
 
+    def at(self, target: str, base: str, stamp_ns: int, gap_ns: int) -> Pose | None:
+        """Return the pose of ``target`` in ``base`` at a time; lengths are in metres.
+
+        Each edge is interpolated between the two samples around the time, or held after its last one; an edge whose
+        samples are all equal is valid at all times.  None if the frames are not connected, the time is before the first
+        sample of an edge, or one of the samples is further away than ``gap_ns``.
+        """
+        chain = self.chain(target, base)
+        if chain is None or not all(
+            _is_known(self._edges[child], stamp_ns, gap_ns) for part in chain for child in part
+        ):
+            return None
+        target_pose, base_pose = (self._climb(part, stamp_ns) for part in chain)
+        return compose(_inverse(base_pose), target_pose) if chain[1] else target_pose
+
     def _climb(self, children: tuple[str, ...], stamp_ns: int) -> Pose:
         """Return the pose of the first child in the parent of the last one."""
         pose = _IDENTITY
         for step, child in enumerate(children):
             edge = self._edges[child]
-            above = edge.poses[0] if edge.static else _pose_at(edge, stamp_ns)
+            above = _pose_at(edge, stamp_ns)
             pose = compose(above, pose) if step else above
         return pose
 
@@ -229,9 +244,23 @@ def _unit_pose(pose: Pose) -> Pose | None:
         return None
 
 
+def _is_known(edge: _TfEdge, stamp_ns: int, gap_ns: int) -> bool:
+    """Return whether an edge is known at a time: see ``FrameTree.at``."""
+    stamps = edge.stamps
+    after = bisect_left(stamps, stamp_ns)
+    if edge.static or (after < len(stamps) and stamps[after] == stamp_ns):
+        return True
+    if 0 < after < len(stamps):
+        return stamps[after] - stamps[after - 1] <= gap_ns or edge.poses[after] == edge.poses[after - 1]
+    # a frame that is sent only once, or always the same, does not move
+    return (after > 0 and stamp_ns - stamps[-1] <= gap_ns) or all(pose == edge.poses[0] for pose in edge.poses)
+
+
 def _pose_at(edge: _TfEdge, stamp_ns: int) -> Pose:
-    """Return the pose at a time between the first and the last sample."""
+    """Return the pose at a time; before the first sample it is that one, after the last one that one."""
     after = bisect_left(edge.stamps, stamp_ns)
+    if edge.static or after == 0 or after == len(edge.stamps):
+        return edge.poses[-1 if after else 0]
     if edge.stamps[after] == stamp_ns:
         return edge.poses[after]
     start_ns, end_ns = edge.stamps[after - 1], edge.stamps[after]

@@ -106,7 +106,7 @@ class Gateway:
             room=room,
             latched_room=latched_room,
         )
-        delivery = Delivery(denied_out, tf.tree)
+        delivery = Delivery(denied_out, tf.tree, by_stamp=bool(config.naming))
         tracking = Tracking(peers, latest)
         self._frames = frames = TfReceiver(tf, guard, peers, delivery, tracking)
         shared = SharedNames(peers) if config.naming else None

@@ -104,7 +104,8 @@ def run(options: argparse.Namespace) -> int:
             account = export_to(options.to, with_state(file), options.output, options.streams, gap_ns)
         except OSError as error:
             raise GatewayError(f"cannot write to {options.output}: {error.strerror or error}") from None
-    account.notes += faults
+        reported = file.merge.reported if file.merge else ()
+    account.notes += [*faults, *(f"reported by {each}" for each in reported)]
     written = sum(row.taken for row in account.rows)
     if not written:
         reasons = [f"{row.stream}: {row.why}" for row in account.rows if row.why]

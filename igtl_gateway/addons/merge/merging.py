@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from array import array
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -19,7 +20,9 @@ from igtl_gateway.addon import (
     Entry,
     GatewayError,
     Kind,
+    Level,
     Mark,
+    Note,
     SessionFile,
     UnsupportedRecording,
     added_marks,
@@ -42,6 +45,10 @@ _INPUTS = {Kind.IGTL_IN: b"igtl", Kind.ROS_IN: b"ros"}
 #: Smaller ROS messages, and OpenIGTLink messages without a body, are equal by coincidence.
 _LEAST_ROS_BYTES = 24
 _READ_BYTES = 1 << 20
+#: Code of the note about a stream of several peers, with the topics that were made of it.
+_NAME_SHARED = "name_shared"
+#: Warnings of a part that the merged session states: a peer may cause any number of them.
+_MOST_WARNINGS = 100
 #: Times are 64-bit numbers with a sign when they are compared.
 _MAX_STAMP_NS = 1 << 63
 
@@ -126,13 +133,16 @@ def merge(
                 f"{alone}: found no message that crosses between it and {', '.join(clocks)}, expected one; "
                 f"state the offset of its clock: --offset {alone}=SECONDS, or --sync STREAM STREAM"
             )
-        facts = {
+        facts: dict[str, Any] = {
             "reference": names[0],
             "latencies": [row for pair, link in links.items() for row in _latencies(pair, link, clocks, edges)],
             "left_out": [
                 f"{one}, {two}: {each.sent_as}" for (one, two), link in links.items() for each in link.left_out
             ],
         }
+        warned = [_warned(each) for each in recorders]
+        facts["reported"] = [line for lines, _ in warned for line in lines]
+        facts["shared_topics"] = {topic: stream for _, topics in warned for topic, stream in topics.items()}
         parts = [
             MergedPart(
                 each.name,
@@ -156,6 +166,31 @@ def merge(
             **facts,
             "parts": [{"name": part.name, **part.facts} for part in parts],
         }
+
+
+def _warned(recorder: _Recorder) -> tuple[list[str], dict[str, str]]:
+    """What the gateway of a part warned about, with the number of times, and topic → stream of what peers share."""
+    counts: Counter[tuple[str, str]] = Counter()
+    texts: dict[tuple[str, str], str] = {}
+    shared: dict[str, str] = {}
+    for entry in recorder.file.entries_of_kinds({Kind.NOTE}):
+        note = Note.of(entry.data()) if entry.kind is Kind.NOTE else None
+        if note is None or note.level < Level.WARN:
+            continue
+        counts[note.stream, note.code] += 1
+        texts.setdefault((note.stream, note.code), note.text)
+        topics = note.data.get("topics", ()) if note.code == _NAME_SHARED else ()
+        shared |= {
+            f"/{recorder.name}{topic}": f"/{recorder.name}/{note.stream}" for topic in topics if isinstance(topic, str)
+        }
+    lines = []
+    for key, number in counts.most_common(_MOST_WARNINGS):
+        times = f", {number:,} times" if number > 1 else ""
+        topics = [topic for topic, stream in shared.items() if key == (stream.split("/", 2)[2], _NAME_SHARED)]
+        lines.append(f"{recorder.name}: {key[0] or key[1]}{times}: {texts[key]}{''.join(f', {one}' for one in topics)}")
+    if len(counts) > _MOST_WARNINGS:
+        lines.append(f"{recorder.name}: {len(counts) - _MOST_WARNINGS:,} more, as `info` of the part states them")
+    return lines, shared
 
 
 def _moved(mark: Mark, clock: Clock) -> Mark:

@@ -268,6 +268,7 @@ def _draw(
             namespace, urdf = _robot(word)
             view.add_robot(urdf, namespace)
         material = None if options.no_review or not is_present("review") else part_of("review", "material:Material")()
+        reported = file.merge.reported if file.merge else []
         damage = _draw_entries(file, config, view, material, stopped)
         if not damage:
             view.marks(mark for mark in marks_of(file) if mark.is_added or file.merge)
@@ -298,6 +299,7 @@ def _draw(
         "damage": damage,
         "without_time": dict(sorted(facts.timeless.items())),
         "clocks": view.clocks(),
+        "reported": [f"reported by {each}" for each in reported],
         "without_field": bool(options.colour_by) and options.colour_by not in view.seen.fields,
     }
 
@@ -398,7 +400,7 @@ def _print(options: argparse.Namespace, path: Path, view: SessionView, facts: di
         print_line(
             f"? {count_text(number, 'entry', 'entries')} not on the time line {line}: stamps before 1970 or after 2116"
         )
-    for text in facts["clocks"]:
+    for text in (*facts["clocks"], *facts["reported"]):
         print_line(f"? {text}")
     if facts["without_field"]:
         fields = ", ".join(sorted(view.seen.fields)) or "none"

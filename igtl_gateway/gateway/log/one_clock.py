@@ -178,14 +178,16 @@ def _joined(streams: Sequence[StreamTimes], least: Sequence[int]) -> OneClock:
                     "the offset plus the least latency"
                 )
     is_sure = not notes
-    for members in clocks.values():
-        first, last = (extreme(members, key=lambda index: least[index]) for extreme in (min, max))
-        is_sure = is_sure and least[last] - least[first] <= _UNLIKELY_NS
-        if least[last] - least[first] > _SAID_NS:
-            late = [index for index in members if least[index] - least[first] > _SAID_NS]
+    if used:
+        # also across clocks: what a correction leaves of an age is compared with the ages of the others
+        left = {index: least[index] - shifts[index] for index in used}
+        first, last = (extreme(used, key=left.__getitem__) for extreme in (min, max))
+        is_sure = is_sure and left[last] - left[first] <= _UNLIKELY_NS
+        if left[last] - left[first] > _SAID_NS:
+            late = [index for index in used if left[index] - left[first] > _SAID_NS]
             notes.append(
                 f"clock: one clock is assumed: the stamps of {_names(streams, late)} are up to "
-                f"{_ms(least[last] - least[first])} older on receipt than those of {streams[first].name}, "
+                f"{_ms(left[last] - left[first])} older on receipt than those of {streams[first].name}, "
                 "which is latency, or an offset of their clocks: `igtl-gateway sync` measures it"
             )
     return OneClock(SOURCE, tuple(shifts), tuple(notes), is_sure)

@@ -6,10 +6,12 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 from igtl_gateway.base.errors import ConversionError, WireError
+from igtl_gateway.base.stamp import NS_PER_MS
 from igtl_gateway.convert.frames import FrameTree, in_frame
 from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.joining import GAP_NS
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.outcome import Finding, Item
 from igtl_gateway.gateway.peers import TRACKING, Peer
@@ -22,11 +24,13 @@ class Delivery:
     Args:
         denied: types that are not sent to peers (``deny_out``).
         frames: the tf tree, for tracking data in the frame that a peer requested.
+        by_stamp: whether that frame is the one of the stamp of the message; otherwise it is the latest.
     """
 
-    def __init__(self, denied: Denials, frames: FrameTree) -> None:
+    def __init__(self, denied: Denials, frames: FrameTree, *, by_stamp: bool) -> None:
         self._denied = denied
         self._frames = frames
+        self._by_stamp = by_stamp
 
     def to(
         self, entry: Entry, peers: Iterable[Peer], outs: Iterable[OutboundMessage], *, asked: bool = True
@@ -98,11 +102,17 @@ class Delivery:
             frame = request.frame if request else ""
             by_frame.setdefault("" if frame == out.frame_id else frame, []).append(peer)
         for frame, members in by_frame.items():
-            place = self._frames.latest(out.frame_id, frame) if frame else None
+            latest = self._frames.latest(out.frame_id, frame) if frame else None
+            place = latest and latest[1]
+            if place and out.ros_stamp_ns and self._by_stamp:
+                place = self._frames.at(out.frame_id, frame, out.ros_stamp_ns, GAP_NS)
             if place:
-                yield members, replace(out, content=in_frame(out.content, place[1], lengths), frame_id=frame)
+                yield members, replace(out, content=in_frame(out.content, place, lengths), frame_id=frame)
             elif frame:
                 text = f"{out.channel} is not sent: no transform from its frame {out.frame_id!r} to {frame!r}"
+                if latest:
+                    away_ms = (out.ros_stamp_ns - latest[0]) / NS_PER_MS
+                    text += f" at its stamp, which is {away_ms:,.0f} ms after the last one"
                 yield Finding(Level.WARN, "unknown_frame", text, entry.channel, entry.links, subject=frame)
             else:
                 yield members, out

@@ -36,7 +36,10 @@ IsStale = Callable[[TfOutRow, str, int], bool]
 
 @dataclass(slots=True)
 class _FramesSent:
-    """A row of the configuration, its last messages, and the oldest stamp in them (0: static)."""
+    """A row of the configuration, its last messages, and the oldest stamp in them (0: static).
+
+    ``arrived``: frame without a stamp → gateway time (0: on /tf_static) and pose of its last change.
+    """
 
     row: TfOutRow
     request: TfRequest
@@ -45,6 +48,7 @@ class _FramesSent:
     last: OutboundMessage | None = None
     oldest_ns: int = 0
     sent: dict[str, tuple[int, Pose]] = field(default_factory=dict)
+    arrived: dict[str, tuple[int, Pose]] = field(default_factory=dict)
 
 
 class TfOut:
@@ -82,14 +86,14 @@ class TfOut:
         refused: list[str] = []
         for one in self._requests:
             try:
-                outs = self._changed(one, now_ns, is_stale)
+                outs = self._changed(one, static, now_ns, is_stale)
             except ConversionError as error:
                 refused.append(str(error))
                 continue
             changed += [(out, self._config.lengths(one.row)) for out in outs]
         return changed, refused
 
-    def _changed(self, one: _FramesSent, now_ns: int, is_stale: IsStale) -> list[OutboundMessage]:
+    def _changed(self, one: _FramesSent, static: bool, now_ns: int, is_stale: IsStale) -> list[OutboundMessage]:
         request = one.request
         versions = tuple(self.tree.version(frame, request.base) for frame in request.frames)
         if versions == one.versions:
@@ -97,6 +101,8 @@ class TfOut:
         one.versions = versions
         found = [(frame, self.tree.latest(frame, request.base)) for frame in request.frames]
         known = [(frame, place) for frame, place in found if place is not None]
+        if len(request.frames) > 1 and self._config.naming:
+            known = [(frame, _timed(one, frame, place, 0 if static else now_ns)) for frame, place in known]
         if self.max_age_of(one.row):
             known = [(frame, place) for frame, place in known if not (place[0] and is_stale(one.row, frame, place[0]))]
         places = dict(known)
@@ -158,6 +164,17 @@ class TfOut:
     def static(self) -> list[OutboundMessage]:
         """Return the last messages of static frames, which are sent only once."""
         return [one.last for one in self._requests if one.last and not one.last.ros_stamp_ns]
+
+
+def _timed(one: _FramesSent, frame: str, place: tuple[int, Pose], now_ns: int) -> tuple[int, Pose]:
+    """A frame without a stamp that moves is of the moment of its receipt; ``now_ns``: 0 of a static update."""
+    stamp_ns, pose = place
+    if stamp_ns:
+        return place
+    arrived = one.arrived.get(frame)
+    if arrived is None or arrived[1] != pose:
+        one.arrived[frame] = arrived = now_ns, pose
+    return arrived
 
 
 def moments_of(stamps: Sequence[int]) -> list[int]:

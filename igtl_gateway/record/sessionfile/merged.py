@@ -115,7 +115,13 @@ _LATENCY = fields(
     needed=("from", "to", "stream", "messages", *_LATENCY_NUMBERS),
 )
 _MERGE = fields(
-    {"parts": list_of(_PART), "latencies": list_of(_LATENCY), "left_out": list_of(text)},
+    {
+        "parts": list_of(_PART),
+        "latencies": list_of(_LATENCY),
+        "left_out": list_of(text),
+        "reported": list_of(text),
+        "shared_topics": map_of(text),
+    },
     needed=("parts", "latencies", "left_out"),
 )
 
@@ -134,6 +140,16 @@ class Merge:
     def names(self) -> list[str]:
         """Names of the parts."""
         return [part["name"] for part in self.facts["parts"]]
+
+    @property
+    def reported(self) -> list[str]:
+        """What the gateways of the parts warned about, which the messages alone do not show."""
+        return list(self.facts.get("reported", ()))
+
+    @property
+    def shared_topics(self) -> dict[str, str]:
+        """Topic → stream, with their part, of the topics that were made of a stream of several peers."""
+        return dict(self.facts.get("shared_topics", {}))
 
 
 def parse_merge(items: Mapping[str, str], place: str) -> Merge:

@@ -9,12 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import igtl_gateway
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.stamp import ns_to_ticks
 from igtl_gateway.cli import main
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.writer import SessionWriter
+from igtl_gateway.wire import Message
+from igtl_gateway.wire.transform import Transform
+from tests.script import Script
 from tools.merge_worlds import START_NS, World, record
+from tools.truth import wire
 
 
 @pytest.fixture
@@ -99,3 +107,37 @@ def test_offset_from_what_moves(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert clock["method"] == "streams"
     assert clock["low_s"] <= 0.123 <= clock["high_s"]
     assert abs(clock["offset_s"] - 0.123) < 0.005
+
+
+def test_what_a_part_reported_is_stated_wherever_the_merged_session_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script = Script()
+    script.up(1)
+    script.up(3)
+    pose = Transform((1, 0, 0, 0, 1, 0, 0, 0, 1, 250.0, 0, 0))
+    for link in (1, 3, 1, 3):
+        script.igtl(Message("TRANSFORM", "ProbeToTracker", pose, ns_to_ticks(script.now_ns)), link)
+    for _ in range(2):
+        script.feed(
+            Kind.IGTL_IN, (wire.message("TRANSFORM", "Newer", wire.transform(np.eye(4)), 0, version=3),), link=1
+        )
+    parts = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
+    for number, part in enumerate(parts):
+        writer = SessionWriter(part, {"config": json.dumps(Config().to_dict())})
+        for entry in script.log[: -number or None]:
+            writer.write(entry)
+        writer.close({})
+    out = tmp_path / "both.mcap"
+    assert main(["merge", *map(str, parts), "-o", str(out), "--offset", "b=0"]) == 0
+    refused = "TRANSFORM/Newer, 2 times: message refused: header, version: found 3"
+    shared = "share one topic and one frame, /a/igtl/in/ProbeToTracker/transform"
+    assert f"reported by a: {refused}" in capsys.readouterr().out
+    for words in (["info", str(out)], ["export", str(out), "--to", "parquet", "-o", str(tmp_path / "tables")]):
+        main(words)
+        text = capsys.readouterr().out
+        assert f"reported by a: {refused}" in text and shared in text
+    with igtl_gateway.open(out) as recording:
+        assert any(refused in each for each in recording.warnings)
+        with pytest.raises(ConfigError, match=r"open\('.*both.mcap/a'\)\['TRANSFORM/ProbeToTracker@LINK'\]"):
+            recording["/a/igtl/in/ProbeToTracker/transform"].poses()

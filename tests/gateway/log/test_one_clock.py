@@ -122,3 +122,11 @@ def test_more_than_a_likely_latency_is_not_sure_and_all_late_streams_are_named()
         assert (clock.name, clock.shifts, clock.is_sure) == ("source", (0, 0, 0), is_sure)
         (note,) = clock.notes
         assert f"the stamps of probe, needle are up to {late_ms:.1f} ms older on receipt than those of image" in note
+
+
+@pytest.mark.parametrize("ahead_ms", [1617, -4390, 30])
+def test_what_a_correction_leaves_is_compared_with_the_ages_of_the_others(ahead_ms: float) -> None:
+    both = [stream("pose", ahead_ms=ahead_ms, late_ms=2), stream("picture", ahead_ms=-682, late_ms=2)]
+    clock = one_clock([each for each, _ in both])
+    assert away_ms(clock, both) > 600 and not clock.is_sure  # an offset that looks like a latency
+    assert any("one clock is assumed" in note and "picture" in note and "684.0 ms" in note for note in clock.notes)

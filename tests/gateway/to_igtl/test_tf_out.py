@@ -186,3 +186,41 @@ def test_recordings_without_rules_of_names_have_all_poses_in_each_message() -> N
     script.ros("/tf", tf(("base", "a", 0.1)))
     script.ros("/tf", tf(("base", "b", 0.2), stamp_ns=T0_NS + 300 * 10**6))
     assert poses_at(script) == [(300, {"a": 100.0, "b": 200.0})]
+
+
+def test_frames_without_stamps_are_of_the_moment_of_their_receipt() -> None:
+    script = Script(Config(tf_out=(TfOutRow(frames=("a", "b", "still"), base="base", device="Tracker"),)))
+    script.up(1)
+    script.ros("/tf_static", tf(("base", "still", 9.0), stamp_ns=0))
+    found = []
+    for number, name in enumerate("aba"):
+        script.now_ns += 40_000_000
+        script.ros("/tf", tf(("base", name, 0.1 * (1 + number)), stamp_ns=0))
+        found += [names for _, names in poses_at(script)]
+    assert found == [{"a": 100.0, "still": 9000.0}, {"b": 200.0, "still": 9000.0}, {"a": 300.0, "still": 9000.0}]
+
+
+@pytest.mark.parametrize(
+    ("at_ms", "metres"),
+    [
+        (100, 0.1),  # the sample of its moment
+        (110, 0.11),  # between two
+        (240, 0.2),  # held after the last one
+        (400, None),  # too long after it
+        (90, None),  # before the first one
+    ],
+)
+def test_the_frame_that_a_peer_asked_for_is_that_of_the_stamp(at_ms: int, metres: float | None) -> None:
+    script = Script(Config(tf_out=(TfOutRow(frames=("probe",), base="base", device="Scene", type="TDATA"),)))
+    script.up(1)
+    for number in range(11):
+        stamp_ns = T0_NS + (100 + 10 * number) * 10**6
+        script.ros("/tf", tf(("base", "camera", (10 + number) / 100), stamp_ns=stamp_ns))
+    script.ros("/tf", tf(("base", "probe", 0.0), stamp_ns=T0_NS))
+    script.igtl(Message("STT_TDATA", "Scene", StartTracking(0, "camera")))
+    lines = script.ros("/tf", tf(("base", "probe", 0.5), stamp_ns=T0_NS + at_ms * 10**6))
+    if metres is None:
+        assert lines == ["note unknown_frame"] and "at its stamp" in script.notes[-1].text
+        return
+    (message,) = script.sent()
+    assert message.content.describe()["elements"][0]["matrix"][0][3] == pytest.approx(500 - 1000 * metres)

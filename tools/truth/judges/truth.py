@@ -197,7 +197,11 @@ class Truth:
         found = set()
         for stream in self.plan.streams:
             if thing in things_of(stream):
-                found |= {stream.key.partition("/")[2] if not stream.is_ros else stream.key}
+                device = stream.key.partition("/")[2] if not stream.is_ros else stream.key
+                found.add(device)
+                child, _, parent = device.partition("To")
+                if parent:  # on /tf a device is a frame in its parent
+                    found.add(f"{child} in {parent}")
                 if stream.names:
                     found.add(stream.names[things_of(stream).index(thing)])
         return found
@@ -306,6 +310,8 @@ class Truth:
                 if then is None or abs(then - at) <= within_s:
                     continue
                 senders = [self.sent[each][0].stream.sender for each in (mine, thing) if self.sent.get(each)]
+                if len(senders) < 2:
+                    continue  # of no thing: its value is a fault already
                 by_receipt = stated == "gateway" or not any(sender.stamped for sender in senders)
                 if by_receipt and abs(self._receipt_s(thing, then) - self._receipt_s(mine, at)) <= within_s:
                     continue
