@@ -21,6 +21,7 @@ import numpy.typing as npt
 from igtl_gateway.base.buffers import MANY_BYTES, Buffer
 from igtl_gateway.base.buffers import join_in_steps as join_parts
 from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.long_text import LONG, decoded, encoded
 
 if not TYPE_CHECKING:
     try:
@@ -80,6 +81,12 @@ class CdrWriter:
     def string(self, text: str) -> None:
         """Append a string: length, UTF-8 and a final NUL."""
         self.align(4)
+        if len(text) >= LONG:
+            pieces = encoded(text)
+            size = sum(map(len, pieces)) + 1
+            for piece in (_U32.pack(size), *pieces, b"\0"):
+                self._append(piece, len(piece))
+            return
         data = _name(text) if len(text) <= _NAME else _text(text)
         self._append(data, len(data))
 
@@ -213,7 +220,7 @@ class CdrReader:
     def string(self) -> str:
         size = self.u32()
         offset = self._take(size, 1)
-        return bytes(self._data[offset : offset + size]).rstrip(b"\x00").decode("utf-8", "surrogateescape")
+        return decoded(bytes(self._data[offset : offset + size]).rstrip(b"\x00"), "utf-8", "surrogateescape")
 
     def count(self) -> int:
         """Read the length of a sequence whose elements are read one by one."""

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from struct import Struct
 from typing import Any, ClassVar
 
-from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer, join
 from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.base.long_text import encoded
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
@@ -56,7 +57,7 @@ class Command:
         if size != follow:
             error = TruncatedMessage if size > follow else MalformedBody
             raise error("COMMAND content, offset 134, length", size, f"{follow}, the bytes that follow")
-        return cls(command_id, decode_text(name), bytes(content[cls._HEAD.size :]), encoding)
+        return cls(command_id, decode_text(name), join([content[cls._HEAD.size :]]), encoding)
 
     def pack(self) -> list[Buffer]:
         name = encode_text(self.name, NAME_WIDTH, "COMMAND name")
@@ -65,7 +66,7 @@ class Command:
     @classmethod
     def of(cls, command_id: int, name: str, text: str) -> Self:
         """Return a command with a string, marked as US-ASCII if it is, else as UTF-8."""
-        return cls(command_id, name, text.encode("utf-8", "surrogateescape"), mib_of(text))
+        return cls(command_id, name, join(encoded(text)), mib_of(text))
 
     @property
     def text(self) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 from igtl_gateway.base.errors import MalformedBody
+from igtl_gateway.base.long_text import replaced
 
 #: Names come again and again: those of fields in headers are remembered.
 _NAME = 32
@@ -49,7 +50,7 @@ def visible(text: str) -> str:
 
 
 def _visible(text: str) -> str:
-    return text.partition("\x00")[0].encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+    return replaced(text.partition("\x00")[0] if "\x00" in text else text)
 
 
 _visible_name = _names(_visible)

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.base.long_text import decoded
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
@@ -30,9 +31,9 @@ def text_of(data: bytes, encoding: int) -> str:
     """Bytes as text: in the encoding of that MIBenum, else as UTF-8; undecodable bytes are replaced."""
     codec = CODECS.get(encoding, "utf-8")
     try:
-        return data.decode("utf-8" if codec == "ascii" else codec)
+        return decoded(data, "utf-8" if codec == "ascii" else codec)
     except UnicodeDecodeError:
-        return data.decode("utf-8", "replace")
+        return decoded(data, "utf-8", "replace")
 
 
 def mib_of(text: str) -> int:
