@@ -4,30 +4,21 @@ The format is that of rmw_fastrtps: XCDR version 1 with a 4-byte encapsulation h
 size, counted from the end of that header.  Padding is always zero, so equal messages have equal bytes, and
 verification can compare them.  (The native serialisation leaves padding uninitialised.)  The writer appends arrays as
 buffers and joins all buffers once; the reader returns views on the received bytes.
-
-Many bytes are joined without the interpreter lock by ``join_parts`` of ``_express.c``, and in steps where it is not
-compiled.
 """
 
 from __future__ import annotations
 
 import struct
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.base.buffers import MANY_BYTES, Buffer
-from igtl_gateway.base.buffers import join_in_steps as join_parts
+from igtl_gateway.base.buffers import MANY_BYTES, Buffer, join_in_steps
 from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.base.long_text import LONG, decoded, encoded
-
-if not TYPE_CHECKING:
-    try:
-        from igtl_gateway.native._express import join_parts
-    except ImportError:  # pragma: no cover - installed without the C part
-        pass
+from igtl_gateway.native.joining import join_parts
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR_LE, no options
 _HEADER_SIZE = 4
@@ -111,7 +102,7 @@ class CdrWriter:
 
     def finish(self) -> bytes:
         """Return the message, joined once, as ``bytes``: rclpy publishes no other type."""
-        return b"".join(self._parts) if self._size < MANY_BYTES else join_parts(self._parts)
+        return b"".join(self._parts) if self._size < MANY_BYTES else (join_parts or join_in_steps)(self._parts)
 
 
 _U32 = struct.Struct("<I")

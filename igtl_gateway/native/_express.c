@@ -1,4 +1,4 @@
-/* The compiled part of igtl_gateway/convert/express.py, which documents the functions; ``join_parts``: of cdr.py.
+/* The compiled part of igtl_gateway/convert/express.py, which documents the functions; ``join_parts``: of native/joining.py.
  *
  * The functions for poses also exist in Python, with results that are equal bit for bit.  Those for bulk (strings,
  * points, clouds, images) exist only here.  For every message that is not as the sample they return None, and the full
@@ -442,7 +442,7 @@ static PyMethodDef functions[] = {
     {"pose_to_igtl", (PyCFunction)(void (*)(void))pose_to_igtl, METH_FASTCALL, "See express.py."},
     {"bulk_to_ros", (PyCFunction)(void (*)(void))bulk_to_ros, METH_FASTCALL, "See express.py."},
     {"bulk_to_igtl", (PyCFunction)(void (*)(void))bulk_to_igtl, METH_FASTCALL, "See express.py."},
-    {"join_parts", join_parts, METH_O, "See cdr.py."},
+    {"join_parts", join_parts, METH_O, "See joining.py."},
     {"allow_avx2", allow_avx2, METH_O, "Allow AVX2 or not, for the tests"},
     {"crc64_both", crc64_both, METH_VARARGS, "(data, crc) -> (CRC, CRC with the tables), for the tests"},
     {NULL, NULL, 0, NULL},

@@ -11,11 +11,12 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from igtl_gateway.base.buffers import MANY_BYTES, Buffer, join_in_steps
+from igtl_gateway.base.buffers import MANY_BYTES, Buffer, join, join_in_steps
 from igtl_gateway.base.errors import ConversionError
-from igtl_gateway.convert import cdr
 from igtl_gateway.convert.cdr import CdrReader, CdrWriter
 from igtl_gateway.convert.express import COMPILED
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.native.joining import join_parts
 
 LITTLE, BIG = b"\x00\x01\x00\x00", b"\x00\x00\x00\x00"
 
@@ -41,8 +42,9 @@ def test_golden_bytes() -> None:
 
 def test_many_bytes_are_the_same_in_any_way() -> None:
     parts: list[Buffer] = [b"\0" * 3, memoryview(bytes(range(256)) * (MANY_BYTES >> 8)), b"", bytearray(b"end")]
-    joined = cdr.join_parts(parts)  # type: ignore[attr-defined]
-    assert joined == join_in_steps(parts) == b"".join(parts)
+    assert (join_parts or join)(parts) == join_in_steps(parts) == b"".join(parts)
+    entry = Entry(1, 1, Kind.ROS_OUT, payload=tuple(parts))
+    assert entry.data() == b"".join(parts)
 
 
 @pytest.mark.skipif(not COMPILED, reason="without the C part, bytes are joined in steps, by one thread at a time")

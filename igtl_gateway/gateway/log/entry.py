@@ -11,8 +11,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import Enum
 
-from igtl_gateway.base.buffers import Buffer, join, total_size
+from igtl_gateway.base.buffers import MANY_BYTES, Buffer, join, total_size
 from igtl_gateway.base.values import value
+from igtl_gateway.native.joining import join_parts
 
 
 class Kind(Enum):
@@ -65,6 +66,8 @@ class Entry:
 
     def data(self) -> bytes:
         """The payload as one ``bytes`` object (no copy where it is one already)."""
+        if join_parts and len(self.payload) > 1 and self.size >= MANY_BYTES:
+            return join_parts(list(self.payload))
         return join(self.payload)
 
     @property
