@@ -6,6 +6,7 @@ own, as programs of others are.  What a kill lost are the poses in the log of th
 does not have.
 
 .venv/bin/python tools/flush_kills.py [--kills 60] [--loads 0 4 16] [--hz 1000] [--seed 1]     print a row for each load
+.venv/bin/python tools/flush_kills.py --kills 67 --page          200 kills (40 min), into docs/evidence/soak.md
 """
 
 from __future__ import annotations
@@ -23,14 +24,24 @@ import threading
 import time
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 from igtl_gateway.base.buffers import join
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.record.sessionfile.salvage import Salvage
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.transform import Transform
+from tools import pages
 
 #: Entries that are younger may be lost: the flush interval of 0.5 s, and 0.15 s for the kill and for the socket.
 MOST_AGE_S = 0.65
+
+_PAGE, _HEADING = "docs/evidence/soak.md", "## Kills under load"
+_TITLES = (
+    "| load: programs that use a core | kills | lost entries older than 0.65 s | of them reported before | oldest, s "
+    "| lost entries, median | most |",
+    "| ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
+)
 
 
 def poses(place: tuple[str, int], hz: float, sent: list[float], ends: threading.Event) -> None:
@@ -122,18 +133,21 @@ def main() -> int:
     parser.add_argument("--loads", type=int, nargs="+", default=[0, 4, 16])
     parser.add_argument("--hz", type=float, default=1000.0)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--page", action="store_true", help=f"write the table of {_PAGE}, after each load")
     options = parser.parse_args()
     chance = random.Random(options.seed)
-    late = 0
-    print("| load | kills | lost above 0.65 s | reported before | oldest, s | median lost | most |")
-    print("|---|---|---|---|---|---|---|", flush=True)
+    late, table, seen = 0, list(_TITLES), pages.Load()
+    print(*_TITLES, sep="\n", flush=True)
     for load in options.loads:
         # a hog ends with this process, also if that is killed
         words = [sys.executable, "-c", "import os\nmine = os.getppid()\nwhile os.getppid() == mine:\n    pass"]
         hogs = [subprocess.Popen(words, start_new_session=True) for _ in range(load)]
         try:
             with tempfile.TemporaryDirectory() as name:
-                rows = [one_kill(Path(name), options.hz, chance.uniform(1.0, 6.0)) for _ in range(options.kills)]
+                rows: list[tuple[int, float, bool]] = []
+                for _ in range(options.kills):
+                    rows.append(one_kill(Path(name), options.hz, chance.uniform(1.0, 6.0)))
+                    seen.look()
         finally:
             for hog in hogs:
                 hog.kill()
@@ -141,11 +155,13 @@ def main() -> int:
         old = [row for row in rows if row[1] > MOST_AGE_S]
         late += len(old)
         lost = sorted(row[0] for row in rows)
-        print(
+        table.append(
             f"| {load} (1 min: {os.getloadavg()[0]:.0f}) | {len(rows)} | {len(old)} | {sum(row[2] for row in old)} "
-            f"| {max(row[1] for row in rows):.2f} | {lost[len(lost) // 2]:,} | {lost[-1]:,} |",
-            flush=True,
+            f"| {max(row[1] for row in rows):.2f} | {lost[len(lost) // 2]:,} | {lost[-1]:,} |"
         )
+        print(table[-1], flush=True)
+        if options.page:
+            pages.write(_PAGE, _HEADING, "tools/flush_kills.py", f"{options.hz:g} poses a second, {seen}", table)
     return 1 if late else 0
 
 
