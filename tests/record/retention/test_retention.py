@@ -260,7 +260,8 @@ def test_the_recorder_deletes_its_own_parts_by_size_and_never_the_open_one(tmp_p
     summary = recorder.close({"streams": {}})
     assert not summary.failure and not sum(summary.dropped.values())
     assert (tmp_path / "unsealed.mcap").exists()
-    assert {note.code for note in notes} == {"retention_deleted", "retention_kept"}
+    # a busy machine may be late
+    assert {note.code for note in notes} - {"record_late", "record_on_time"} == {"retention_deleted", "retention_kept"}
     assert not list((tmp_path / "long").glob("*.mcap")) and not summary.files
     lines = (tmp_path / LOG_NAME).read_text().splitlines()
     assert len(lines) > 5
