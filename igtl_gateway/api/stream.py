@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -310,6 +310,19 @@ class Stream:
         """
         self.check_sender()
         return read_poses(self._source, self._channel, self.unit, self.blocks(), frame)
+
+    def poses_of(self, blocks: Iterable[MessageBlock], frame: str = "") -> Poses:
+        """Return the poses in blocks of its messages, as ``poses`` does: for programs that read a file once."""
+        return read_poses(self._source, self._channel, self.unit, blocks, frame)
+
+    def points_of(self, blocks: Iterable[MessageBlock]) -> Clouds:
+        """Return the points in blocks of its messages, as ``points`` does."""
+        return Clouds(self._source, self._channel, self.unit, list(blocks))
+
+    def stamps_of(self, block: MessageBlock) -> Times:
+        """Return the stamps (N,) in a block of its messages, as ``stamps`` has them, UTC ns; 0 = unset."""
+        place = None if self._is_igtl else self._source.stamp_place(self.type)
+        return block.source_times if place is None else place.of(block)
 
     def positions(self, unit: str = "", frame: str = "") -> npt.NDArray[Any]:
         """Return the positions of the poses, (N, 3) float64.

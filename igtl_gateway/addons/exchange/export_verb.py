@@ -45,6 +45,8 @@ EXAMPLES = """\
   igtl-gateway export out.mcap --to rosbag2 -o bag/
   # an IMAGE and its TRANSFORMs, for PLUS and 3D Slicer
   igtl-gateway export out.mcap --to igs.mha -o freehand.igs.mha
+  # a scene that plays in 3D Slicer
+  igtl-gateway export out.mcap --to mrb -o session.mrb
   # tables
   igtl-gateway export out.mcap --to csv -o tables/ --streams 'TRANSFORM/**'
   # all messages as tables for pandas, polars or DuckDB
@@ -81,13 +83,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="igs.mha: largest time between two poses of a transform that an image may lie between; in longer gaps it "
         "is INVALID " + default(GAP_NS / NS_PER_S),
     )
+    parser.add_argument(
+        "--rate",
+        type=float,
+        metavar="HZ",
+        help="mrb, mrml, seq.nrrd: most messages of a stream in a second, the first of each period "
+        + default("all, up to 20,000 a stream, and 2,000 surfaces, points or texts"),
+    )
     if LEROBOT_ROW:
         part_of(LEROBOT, "verb:add_lerobot")(parser)
     add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    gap_ns = _gap_ns(options)
+    gap_ns, rate = _gap_ns(options), _rate(options)
     if options.to == LEROBOT:
         return int(part_of(LEROBOT, "verb:run_lerobot")(options))
     if LEROBOT_ROW:
@@ -101,7 +110,7 @@ def run(options: argparse.Namespace) -> int:
     with SessionFile.open(options.file) as file:
         faults = check_recorded([file], [bare_glob(glob) for glob in options.streams])
         try:
-            account = export_to(options.to, with_state(file), options.output, options.streams, gap_ns)
+            account = export_to(options.to, with_state(file), options.output, options.streams, gap_ns, rate)
         except OSError as error:
             raise GatewayError(f"cannot write to {options.output}: {error.strerror or error}") from None
         reported = file.merge.reported if file.merge else ()
@@ -136,6 +145,18 @@ def _gap_ns(options: argparse.Namespace) -> int:
     if not 0 <= options.max_gap < MOST_GAP_S:
         raise ConfigError(f"--max-gap: found {options.max_gap:g}, expected 0 or more, below {MOST_GAP_S:,.0f} s")
     return round(options.max_gap * NS_PER_S)
+
+
+def _rate(options: argparse.Namespace) -> float:
+    """The largest rate of a stream, Hz; 0 = the default of the format.  Raises ConfigError."""
+    if options.rate is None:
+        return 0.0
+    if options.to == LEROBOT or not TARGETS[options.to].thins:
+        thinning = ", ".join(name for name, target in TARGETS.items() if target.thins)
+        raise ConfigError(f"--rate: found --to {options.to}, expected {thinning}: the option has no effect here")
+    if not 1e-3 <= options.rate <= 1000:
+        raise ConfigError(f"--rate: found {options.rate:g}, expected 0.001 to 1,000 Hz")
+    return float(options.rate)
 
 
 def _next_step(options: argparse.Namespace) -> str:

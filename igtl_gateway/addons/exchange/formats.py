@@ -14,6 +14,7 @@ from igtl_gateway.addons.exchange.pcap_file import is_capture
 from igtl_gateway.addons.exchange.rosbag1 import Rosbag1
 from igtl_gateway.addons.exchange.rosbag2 import Rosbag2
 from igtl_gateway.addons.exchange.rosbag2_metadata import METADATA
+from igtl_gateway.addons.exchange.scene_in import SceneSource, looks_like_scene
 from igtl_gateway.addons.exchange.sequence import Sequence
 from igtl_gateway.addons.exchange.source import Source, library_errors_as_damage
 
@@ -63,6 +64,7 @@ FORMATS = (
         Sequence,
     ),
     ImportFormat("nifti", (".nii", ".nii.gz"), looks_like_nifti, lambda path, epoch: Sequence(path, epoch, read_nifti)),
+    ImportFormat("scene", (".mrb", ".mrml"), looks_like_scene, SceneSource),
     ImportFormat("pcap", (".pcap", ".cap", ".pcapng"), is_capture, lambda path, _epoch: Pcap(path)),
     ImportFormat(IGTL, (".igtl",), looks_like_igtl, Capture),
 )

@@ -298,8 +298,10 @@ def _times(
     if FRAME not in roles or sizes[roles.index(FRAME)] > limits.current_limits().count:
         return ()
     axis = roles.index(FRAME)
-    values = fields.get(f"axis {axis} index values", "").split()
-    if len(values) == sizes[axis] and fields.get(f"axis {axis} index type", "numeric") == "numeric":
+    # 3D Slicer counts the axes of a picture without that of its colours: the frames have axis 3, or 0 in newer versions
+    key = next((each for each in (axis, 3, 0) if f"axis {each} index values" in fields), axis)
+    values = fields.get(f"axis {key} index values", "").split()
+    if len(values) == sizes[axis] and fields.get(f"axis {key} index type", "numeric") == "numeric":
         unit = fields.get(f"axis {axis} index unit", "") or _word(fields.get("units", ""), axis)
         label = _word(fields.get("labels", ""), axis)
         scale = _SECONDS.get(unit.lower(), 1.0 if "time" in label.lower() else 0.0)

@@ -10,6 +10,7 @@ from igtl_gateway.addon import GAP_NS, RecordedStamps
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.csv_out import export_csv
 from igtl_gateway.addons.exchange.rosbag2_out import export_rosbag2
+from igtl_gateway.addons.exchange.scene_out import export_mrb, export_mrml, export_picture_sequence
 from igtl_gateway.addons.exchange.selection import Recording, count_skipped
 from igtl_gateway.addons.exchange.sequence_out import export_sequence
 from igtl_gateway.addons.exchange.surface_out import export_ply, export_vtk
@@ -26,6 +27,7 @@ class ExportFormat:
         export: writes the files and returns the account.
         suffixes: of the file; none: a directory.
         joins: whether it joins streams: then ``export`` takes ``gap_ns``, the largest gap to interpolate in.
+        thins: whether it can leave out messages of fast streams: then ``export`` takes ``rate``, in Hz.
     """
 
     text: str
@@ -33,9 +35,12 @@ class ExportFormat:
     export: Callable[..., ExportAccount]
     suffixes: tuple[str, ...] = ()
     joins: bool = False
+    thins: bool = False
 
 
-def export_to(name: str, recording: Recording, out: Path, globs: Sequence[str], gap_ns: int = GAP_NS) -> ExportAccount:
+def export_to(
+    name: str, recording: Recording, out: Path, globs: Sequence[str], gap_ns: int = GAP_NS, rate: float = 0.0
+) -> ExportAccount:
     """Write a recording to ``out`` in a format of the table, and return the account.
 
     Args:
@@ -44,11 +49,18 @@ def export_to(name: str, recording: Recording, out: Path, globs: Sequence[str], 
         out: file or directory.
         globs: select streams.
         gap_ns: of a format that joins streams: largest time between two poses that something may lie between.
+        rate: of a format that thins streams: most messages of one in a second; 0: the default of the format.
 
     Raises GatewayError and OSError.
     """
     target = TARGETS[name]
-    account = target.export(recording, out, globs, **({"gap_ns": gap_ns} if target.joins else {}))
+    account = target.export(
+        recording,
+        out,
+        globs,
+        **({"gap_ns": gap_ns} if target.joins else {}),
+        **({"rate": rate} if target.thins else {}),
+    )
     count_skipped(recording, globs, account)
     account.notes += [*account.senders.notes(), *RecordedStamps(recording).notes]
     return account
@@ -74,6 +86,26 @@ TARGETS = {
         export_sequence,
         (".mha",),
         joins=True,
+    ),
+    "mrb": ExportFormat(
+        "all streams, as one scene that plays in 3D Slicer",
+        "open {out} in 3D Slicer and press play (module Sequences)",
+        export_mrb,
+        (".mrb",),
+        thins=True,
+    ),
+    "mrml": ExportFormat(
+        "the same scene as a directory",
+        "open the .mrml of {out} in 3D Slicer",
+        export_mrml,
+        thins=True,
+    ),
+    "seq.nrrd": ExportFormat(
+        "the pictures of one stream that do not move, as one file",
+        "open {out} in 3D Slicer (as Volume Sequence)",
+        export_picture_sequence,
+        (".seq.nrrd",),
+        thins=True,
     ),
     "csv": ExportFormat(
         "poses, strings, numbers: a directory with one table per stream",

@@ -43,7 +43,8 @@ _TO_IMAGE: dict[str, Callable[[bytes, ToIgtlContext], ConvertedMessage]] = {
     Volume.TYPE: lambda data, to: volume_to_image(Volume.unpack(data), to),
     RosImage.TYPE: lambda data, to: image_to_igtl(RosImage.unpack(data), to),
 }
-_READ = frozenset({"IMAGE", *_TO_IMAGE})
+#: Types of messages with a picture.
+PICTURES = frozenset({"IMAGE", *_TO_IMAGE})
 _TYPES = {"i": "int", "u": "uint"}
 _SPACES = {"LPS": "left-posterior-superior", "RAS": "right-anterior-superior"}
 
@@ -60,10 +61,10 @@ def export_nrrd(recording: Recording, out: Path, globs: Sequence[str]) -> Export
     units, accepted = recorded_units(recording), recorded_acceptance(recording)
 
     def read(entry: Entry) -> Image:
-        return _image(entry, units.of(entry.kind, entry.channel, entry.type), accepted)
+        return export_picture_of(entry, units.of(entry.kind, entry.channel, entry.type), accepted)
 
     account = export_one_file_each(
-        recording, out, globs, _READ, "nrrd", read, lambda content: (nrrd_header(content), content.pixels), count,
+        recording, out, globs, PICTURES, "nrrd", read, lambda content: (nrrd_header(content), content.pixels), count,
         once=True,
     )  # fmt: skip
     for stream, number in sorted((+unplaced).items()):
@@ -75,8 +76,11 @@ def export_nrrd(recording: Recording, out: Path, globs: Sequence[str]) -> Export
     return account
 
 
-def _image(entry: Entry, unit: str, acceptance: Acceptance) -> Image:
-    """Return the picture of a message with lengths in ``unit``, placed in millimetres."""
+def export_picture_of(entry: Entry, unit: str, acceptance: Acceptance) -> Image:
+    """Return the picture of a message with lengths in ``unit``, placed in millimetres.
+
+    Raises WireError or ConversionError if it has none, or only a part of one.
+    """
     if entry.type in _TO_IMAGE:
         content = _TO_IMAGE[entry.type](entry.data(), ToIgtlContext(LengthUnits(unit, "mm"))).content
     else:

@@ -47,7 +47,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Export:
     def export(name: str, to: str) -> tuple[Path, ExportAccount]:
         if (name, to) not in made:
             out = tmp_path_factory.mktemp(f"{name}-{to}") / "out"
-            globs = SEQUENCES.get(name, ()) if to == "igs.mha" else ()
+            globs = SEQUENCES.get(name, ()) if to in ("igs.mha", "seq.nrrd") else ()
             with SessionFile.open(FIXTURES / f"{name}.mcap") as file:
                 try:
                     made[name, to] = out, export_to(to, file, out, globs)

@@ -1,0 +1,247 @@
+"""Scenes of 3D Slicer as sessions: our own, those that Slicer wrote, and those that no program should trust."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import igtl_gateway
+from igtl_gateway.addons.exchange.scene_in import SceneSource
+from igtl_gateway.addons.exchange.targets import export_to
+from igtl_gateway.base.errors import DamagedRecording, GatewayError, LimitExceeded
+from igtl_gateway.base.stamp import NS_PER_MS
+from igtl_gateway.base.untrusted.limits import FileLimits, limits_in_force
+from igtl_gateway.cli import main
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from tests.places import FIXTURES
+
+
+@pytest.mark.parametrize("to", ["mrb", "mrml"])
+def test_our_own_scene_comes_back(tmp_path: Path, to: str) -> None:
+    out, back = tmp_path / "scene.mrb", tmp_path / "back.mcap"
+    with SessionFile.open(FIXTURES / "ultrasound.mcap") as file:
+        export_to(to, file, out, ())
+    assert main(["import", str(out if to == "mrb" else next(out.glob("*.mrml"))), "-o", str(back)]) == 0
+    with igtl_gateway.open(FIXTURES / "ultrasound.mcap") as old, igtl_gateway.open(back) as new:
+        for key in ("TRANSFORM/ProbeToTracker", "TRANSFORM/ReferenceToTracker"):
+            one, two = old[key].poses(), new[key].poses()
+            assert np.array_equal(one.matrices, two.matrices)
+            assert np.abs(one.stamps - two.stamps).max() <= NS_PER_MS
+        images, again = old["IMAGE/Image_Probe"].images(), new["IMAGE/Image_Probe"].images()
+        assert len(images) == len(again)
+        for a, b in zip(images, again, strict=True):
+            assert np.array_equal(a.array, b.array)
+            assert a.matrix is not None
+            assert b.matrix is not None
+            assert np.abs(a.matrix - b.matrix).max() < 1e-4
+        assert [message.content.text for message in new["STRING/Sweep"].messages()] == [
+            message.content.text for message in old["STRING/Sweep"].messages()
+        ]
+
+
+def test_points_and_coloured_pictures_come_back(tmp_path: Path) -> None:
+    out, back = tmp_path / "scene.mrb", tmp_path / "back.mcap"
+    with SessionFile.open(FIXTURES / "star.mcap") as file:
+        export_to("mrb", file, out, ())
+    assert main(["import", str(out), "-o", str(back)]) == 0
+    with igtl_gateway.open(FIXTURES / "star.mcap") as old, igtl_gateway.open(back) as new:
+        one, two = old["in:POINT/PlanPoints"].points()[0], new["POINT/PlanPoints"].points()[0]
+        assert np.array_equal(one.xyz, two.xyz)
+        assert one.names == two.names
+        stamps = new["IMAGE/star/camera/image"].stamps
+        assert np.abs(np.diff(stamps) - 1_000_000_000).max() < 20 * NS_PER_MS
+        assert np.array_equal(
+            new["IMAGE/star/camera/image"].images()[3].array, old["/star/camera/image"].images()[3].array
+        )
+
+
+BY_SLICER = """
+import sys, numpy as np, slicer, vtk
+from vtk.util.numpy_support import numpy_to_vtk
+scene, logic = slicer.vtkMRMLScene(), slicer.vtkSlicerSequencesLogic()
+scene.RegisterNodeClass(slicer.vtkMRMLMarkupsJsonStorageNode())
+logic.SetMRMLScene(scene)
+cache, data = slicer.vtkCacheManager(), slicer.vtkDataIOManager()
+cache.SetRemoteCacheDirectory(sys.argv[2]); data.SetCacheManager(cache)
+scene.SetCacheManager(cache); scene.SetDataIOManager(data)
+browser = scene.AddNewNodeByClass("vtkMRMLSequenceBrowserNode", "Browser")
+def sequence(name):
+    node = scene.AddNewNodeByClass("vtkMRMLSequenceNode", name)
+    node.SetIndexName("time"); node.SetIndexUnit("s")
+    return node
+tool, words, pictures = sequence("Tool"), sequence("Words"), sequence("Pictures")
+for n in range(5):
+    moved = slicer.vtkMRMLLinearTransformNode(); matrix = vtk.vtkMatrix4x4(); matrix.SetElement(0, 3, 10.0 * n)
+    moved.SetMatrixTransformToParent(matrix); tool.SetDataNodeAtValue(moved, "%.3f" % (n * 0.1))
+    text = slicer.vtkMRMLTextNode(); text.SetText("line %d\\nnext" % n)
+    words.SetDataNodeAtValue(text, "%.3f" % (n * 0.1))
+    image = vtk.vtkImageData(); image.SetDimensions(4, 3, 1)
+    image.GetPointData().SetScalars(numpy_to_vtk(np.full(12, n + 1, np.uint8), deep=1))
+    volume = slicer.vtkMRMLScalarVolumeNode(); volume.SetAndObserveImageData(image); volume.SetSpacing(0.5, 0.5, 1)
+    pictures.SetDataNodeAtValue(volume, "%.3f" % (n * 0.1))
+browser.SetAndObserveMasterSequenceNodeID(tool.GetID())
+for node in (words, pictures):
+    browser.AddSynchronizedSequenceNode(node)
+logic.UpdateProxyNodesFromSequences(browser)
+marks = scene.AddNewNodeByClass("vtkMRMLMarkupsFiducialNode", "Landmarks")
+marks.AddControlPoint([1.0, 2.0, 3.0], "nose"); marks.AddControlPoint([-4.0, 5.0, 6.5], "ear")
+plain = scene.AddNewNodeByClass("vtkMRMLLinearTransformNode", "RegistrationToTracker")
+matrix = vtk.vtkMatrix4x4(); matrix.SetElement(1, 3, 7.25); plain.SetMatrixTransformToParent(matrix)
+for node in (tool, words, pictures, marks):
+    node.AddDefaultStorageNode()
+assert scene.WriteToMRB(sys.argv[1], None)
+"""
+
+
+@pytest.mark.skipif(find_spec("slicer") is None, reason="slicer-core is not installed")
+def test_a_scene_that_slicer_wrote(tmp_path: Path) -> None:
+    (tmp_path / "cache").mkdir()
+    scene, back = tmp_path / "slicer.mrb", tmp_path / "back.mcap"
+    command = [sys.executable, "-c", BY_SLICER, str(scene), str(tmp_path / "cache")]
+    subprocess.run(command, check=True, timeout=300, capture_output=True)
+    assert main(["import", str(scene), "-o", str(back), "--epoch", "2026-01-01T00:00:00Z"]) == 0
+    with igtl_gateway.open(back) as session:
+        poses = session["TRANSFORM/Tool"].poses()
+        assert poses.positions[:, 0].tolist() == [0, 10, 20, 30, 40]
+        assert ((poses.stamps - poses.stamps[0]) // NS_PER_MS).tolist() == [0, 100, 200, 300, 400]
+        assert [int(view.array.ravel()[0]) for view in session["IMAGE/Pictures"].images()] == [1, 2, 3, 4, 5]
+        assert session["IMAGE/Pictures"].images()[0].spacing == (0.5, 0.5, 1.0)
+        assert next(session["STRING/Words"].messages()).content.text == "line 0\nnext"
+        points = session["POINT/Landmarks"].points()[0]
+        assert points.xyz.tolist() == [[1, 2, 3], [-4, 5, 6.5]]
+        assert points.names == ("nose", "ear")
+        assert session["TRANSFORM/RegistrationToTracker"].poses().positions[0].tolist() == [0, 7.25, 0]
+
+
+# -- what no program should trust
+
+
+def bundle(path: Path, document: str, more: dict[str, bytes] | None = None) -> Path:
+    with zipfile.ZipFile(path, "w") as out:
+        out.writestr("S/S.mrml", document)
+        for name, data in (more or {}).items():
+            out.writestr(name, data)
+    return path
+
+
+def mrml(inner: str) -> str:
+    return f'<?xml version="1.0"?>\n<MRML version="Slicer5">\n{inner}\n</MRML>\n'
+
+
+def pose(name: str = "T", matrix: str = "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1") -> str:
+    return f'<LinearTransform id="t1" name="{name}" matrixTransformToParent="{matrix}"></LinearTransform>'
+
+
+def stored(name: str) -> str:
+    return (
+        '<Sequence id="s1" name="Q" references="storage:k1;" indexUnit="s" indexType="numeric"></Sequence>'
+        f'<LinearTransformSequenceStorage id="k1" name="K" fileName="{name}"></LinearTransformSequenceStorage>'
+    )
+
+
+def twice(path: Path) -> Path:
+    with pytest.warns(UserWarning, match="Duplicate"), zipfile.ZipFile(path, "w") as out:
+        out.writestr("S/S.mrml", mrml(pose()))
+        out.writestr("S/S.mrml", mrml(pose()))
+    return path
+
+
+def cut(path: Path) -> Path:
+    bundle(path, mrml(pose()))
+    path.write_bytes(path.read_bytes()[:-30])
+    return path
+
+
+def lying(path: Path) -> Path:
+    """A stored file whose head declares another size than it has."""
+    bundle(path, mrml(stored("Data/a.seq.mha")), {"S/Data/a.seq.mha": b"x" * 64})
+    data = bytearray(path.read_bytes())
+    at = data.rindex(b"PK\x01\x02")
+    data[at + 24 : at + 28] = (1 << 20).to_bytes(4, "little")
+    path.write_bytes(data)
+    return path
+
+
+def bomb(path: Path) -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as out:
+        out.writestr("S/S.mrml", mrml(stored("Data/a.seq.mha")))
+        out.writestr("S/Data/a.seq.mha", bytes(80 << 20))
+    return path
+
+
+ENTITIES = '<?xml version="1.0"?><!DOCTYPE MRML [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><MRML>&b;</MRML>'
+
+BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
+    "not a zip": (cut, "zip"),
+    "a name twice": (twice, "twice"),
+    "a size that lies": (lying, "stored in"),
+    "a bomb": (bomb, "ratio"),
+    "entities": (lambda path: bundle(path, ENTITIES), "found a document type"),
+    "another document": (lambda path: bundle(path, "<html></html>"), "expected <MRML>"),
+    "no scene": (lambda path: bundle(path, mrml("")), "found no poses"),
+    "a path that leaves": (lambda path: bundle(path, mrml(stored("../../etc/passwd"))), "below the folder"),
+    "an absolute path": (lambda path: bundle(path, mrml(stored("/etc/passwd"))), "below the folder"),
+    "a name in the zip that leaves": (
+        lambda path: bundle(path, mrml(pose()), {"../out.txt": b"x"}),
+        "below the folder",
+    ),
+    "a file that is missing": (lambda path: bundle(path, mrml(stored("Data/no.seq.mha"))), "found no 'S/Data/no"),
+    "a matrix of words": (lambda path: bundle(path, mrml(pose(matrix="a b"))), "16 numbers"),
+    "broken xml": (lambda path: bundle(path, "<MRML><a>"), "invalid XML"),
+    "two scenes": (lambda path: bundle(path, mrml(pose()), {"S/T.mrml": b"<MRML/>"}), "found 2 scenes"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_scenes_are_refused_with_place_found_and_expected(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    made, words = BAD[name]
+    path = made(tmp_path / "bad.mrb")
+    out = tmp_path / "out.mcap"
+    assert main(["import", str(path), "-o", str(out)]) != 0
+    said = capsys.readouterr()
+    text = said.err + said.out
+    assert words in text, text
+    assert str(path) in text
+    assert "Traceback" not in text
+    assert not out.exists()
+    assert not (tmp_path.parent / "out.txt").exists()
+
+
+def test_a_link_out_of_the_folder_of_a_scene_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "scene" / "Data").mkdir(parents=True)
+    (tmp_path / "secret.seq.mha").write_text("x")
+    (tmp_path / "scene" / "Data" / "a.seq.mha").symlink_to(tmp_path / "secret.seq.mha")
+    document = tmp_path / "scene" / "scene.mrml"
+    document.write_text(mrml(stored("Data/a.seq.mha")))
+    with pytest.raises(DamagedRecording, match="a link out of the folder"):
+        SceneSource(document)
+
+
+def test_a_document_is_bounded(tmp_path: Path) -> None:
+    path = bundle(tmp_path / "many.mrb", mrml(pose() * 50))
+    with limits_in_force(FileLimits(count=20)), pytest.raises(LimitExceeded):
+        SceneSource(path)
+
+
+def test_markups_of_another_shape_are_refused(tmp_path: Path) -> None:
+    node = (
+        '<MarkupsFiducial id="m1" name="M" references="storage:k1;"></MarkupsFiducial>'
+        '<MarkupsJsonStorage id="k1" name="K" fileName="Data/m.mrk.json"></MarkupsJsonStorage>'
+    )
+    bad: tuple[object, ...] = ({"markups": []}, {"markups": [{"controlPoints": [{"position": [1, 2]}]}]}, [1])
+    for content in bad:
+        path = bundle(tmp_path / "m.mrb", mrml(node), {"S/Data/m.mrk.json": json.dumps(content).encode()})
+        source = SceneSource(path)
+        with pytest.raises(GatewayError, match="expected markups"):
+            list(source.items())
+        source.close()
