@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
+from pathlib import Path
 
+from igtl_gateway.base.addons import is_present
 from igtl_gateway.cli.terminal import cell, print_line, width
 
 PROGRAM = "igtl-gateway"
@@ -41,4 +43,7 @@ def info_steps(
         steps.append((command("doctor", file), "find the causes of the problems"))
     if types:
         steps.append((command("replay", file, "--to", "igtl"), "serve it to 3D Slicer and others"))
+        if is_present("exchange"):
+            scene = f"{Path(file).name.removesuffix('.mcap')}.mrb"
+            steps.append((command("export", file, "--to", "mrb", "-o", scene), "a scene that plays in 3D Slicer"))
     return [*steps, (command("view", file), "show it in rerun")]

@@ -29,7 +29,7 @@ def test_steps_stand_in_two_columns(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (
             {"is_foreign": False, "is_bag": False, "has_problems": False, "types": ["STRING/A"]},
-            ["verify", "replay", "view"],
+            ["verify", "replay", "export", "view"],
         ),
         ({"is_foreign": False, "is_bag": False, "has_problems": True, "types": []}, ["verify", "doctor", "view"]),
         ({"is_foreign": True, "is_bag": False, "has_problems": False, "types": []}, ["import", "view"]),

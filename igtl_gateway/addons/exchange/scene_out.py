@@ -40,6 +40,7 @@ from igtl_gateway.addon import (
     UnsupportedRecording,
     __version__,
     distinct_names,
+    make_folder,
     marks_of,
     one_clock,
     open_new,
@@ -120,6 +121,7 @@ def export_picture_sequence(recording: Recording, out: Path, globs: Sequence[str
     file = _session(recording)
     with written(out) as new:
         beside = new.parent / "waiting"
+        make_folder(beside)
         store = FolderStore(beside)
         reading = SceneReading(file, globs, rate, store, only_pictures=True)
         reading.read()

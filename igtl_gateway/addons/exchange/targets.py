@@ -82,7 +82,7 @@ TARGETS = {
     "rosbag2": ExportFormat("ROS topics, as a directory for `ros2 bag`", "ros2 bag play {out}", export_rosbag2),
     "igs.mha": ExportFormat(
         "an IMAGE and its TRANSFORMs, as one tracked sequence",
-        "open {out} in 3D Slicer (module Sequences) or PLUS",
+        "open {out} in PLUS, or in 3D Slicer with its extension SlicerIGSIO; --to mrb opens without one",
         export_sequence,
         (".mha",),
         joins=True,

@@ -48,6 +48,10 @@ def _export(path: Path) -> list[str]:
     return ["export", str(path), "--to", "csv", "-o", str(path.with_name(f"{path.stem}-csv"))]
 
 
+def _scene(path: Path) -> list[str]:
+    return ["export", str(path), "--to", "mrb", "-o", str(path.with_name(f"{path.stem}.mrb"))]
+
+
 #: Action of the page → its words on the command line, and the add-on that it needs.
 ACTIONS: dict[str, tuple[Callable[[Path], list[str]], str]] = {
     "verify": (_verify, ""),
@@ -56,6 +60,7 @@ ACTIONS: dict[str, tuple[Callable[[Path], list[str]], str]] = {
     "review": (_review, "review"),
     "view": (_view, "view"),
     "export": (_export, "exchange"),
+    "scene": (_scene, "exchange"),
 }
 
 

@@ -126,7 +126,10 @@ def main(path: Path, out: Path) -> None:
         table = scene.GetNthNodeByClass(number, "vtkMRMLTableNode")
         columns = [table.GetTable().GetColumn(n) for n in range(table.GetTable().GetNumberOfColumns())]
         found["tables"][table.GetName()] = {
-            column.GetName(): [column.GetVariantValue(row).ToString() for row in range(column.GetNumberOfTuples())]
+            column.GetName(): [
+                column.GetValue(row) if column.IsNumeric() else str(column.GetValue(row))
+                for row in range(column.GetNumberOfTuples())
+            ]
             for column in columns
         }
     for kind in ("Model", "LinearTransform"):

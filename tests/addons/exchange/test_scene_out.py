@@ -146,7 +146,7 @@ def test_surfaces_points_and_texts_are_the_recorded_ones(scene: Callable[[str], 
     for item, cloud in zip(items, clouds, strict=True):
         good = np.isfinite(cloud.xyz).all(axis=1)
         assert np.abs(item["points"] - cloud.xyz[good] * 1000).max() < 1e-3
-        assert item["cells"] == len(item["points"])
+        assert item["cells"] >= 1, "nothing is drawn of points without a cell"
         assert item["colours"] is not None
     points = [each for each in sequence(found, "in:POINT/PlanPoints")["items"] if len(each["points"])]
     assert np.abs(points[0]["points"] - plan[0].xyz).max() < 1e-6

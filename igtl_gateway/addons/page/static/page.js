@@ -476,11 +476,11 @@ async function loadSessions() {
   const busy = sessions?.some((row) => !row.read) || state?.jobs.some((job) => job.state === "running");
   if (view === "sessions" || view === "replay") sessionsTimer = setTimeout(loadSessions, busy ? 700 : 3000);
 }
-const ACTIONS = [["verify", "Verify"], ["lint", "Find problems"], ["review", "Review"], ["view", "Open in rerun"], ["export", "Export as CSV"], ["seal", "Check the seal"]];
+const ACTIONS = [["verify", "Verify"], ["lint", "Find problems"], ["review", "Review"], ["view", "Open in rerun"], ["export", "Export as CSV"], ["scene", "Export for 3D Slicer"], ["seal", "Check the seal"]];
 /* Names of the machine of the program, where the viewer's link leads somewhere. */
 const HERE = new Set(["127.0.0.1", "localhost", "[::1]"]);
 const RESULTS = { running: ["waiting", "runs"], done: ["ok", "good"], failed: ["error", "not good"], cancelled: ["off", "cancelled"], nothing: ["off", "not applicable"] };
-const RESULTS_OF = { lint: { done: ["ok", "no errors"], failed: ["warning", "problems found"] }, export: { done: ["ok", "done"], failed: ["error", "failed"] }, view: { done: ["ok", "done"], failed: ["error", "failed"] } };
+const RESULTS_OF = { lint: { done: ["ok", "no errors"], failed: ["warning", "problems found"] }, export: { done: ["ok", "done"], failed: ["error", "failed"] }, scene: { done: ["ok", "done"], failed: ["error", "failed"] }, view: { done: ["ok", "done"], failed: ["error", "failed"] } };
 function result(row, action, none) {
   const found = row.results[action];
   if (!found) return h("span.result.zero", null, none);
