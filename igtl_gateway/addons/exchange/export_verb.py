@@ -88,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         metavar="HZ",
         help="mrb, mrml, seq.nrrd: most messages of a stream in a second, the first of each period "
-        + default("all, up to 20,000 a stream, and 2,000 surfaces, points or texts"),
+        + default("all, up to 20,000 a stream, and 2,000 surfaces, points or strings"),
     )
     if LEROBOT_ROW:
         part_of(LEROBOT, "verb:add_lerobot")(parser)

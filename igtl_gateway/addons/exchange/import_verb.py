@@ -50,7 +50,7 @@ EXAMPLES = """\
   igtl-gateway import head.nrrd -o session.mcap
   # NIfTI, with the extra nifti
   igtl-gateway import head.nii.gz -o session.mcap
-  # a scene of 3D Slicer: poses, pictures, points and texts
+  # a scene of 3D Slicer: poses, pictures, points and strings
   igtl-gateway import scene.mrb -o session.mcap
   # the bytes that an OpenIGTLink server sent
   igtl-gateway import probe.s2c.igtl -o session.mcap

@@ -1,8 +1,8 @@
-"""Import of scenes of 3D Slicer (``.mrb``, ``.mrml``): poses, pictures, points and texts become messages of a peer.
+"""Import of scenes of 3D Slicer (``.mrb``, ``.mrml``): poses, pictures, points and strings become messages of a peer.
 
 A scene has sequences, and nodes that do not change.  Each becomes a stream of OpenIGTLink that is named as its node:
-transforms TRANSFORM, volumes IMAGE, fiducials POINT, texts STRING; all others are counted with the reason.  The index
-of an item is its time, in seconds from the start time, which is ``epoch_ns``, or what a scene of our own states.
+transforms TRANSFORM, volumes IMAGE, fiducials POINT, text nodes STRING; all others are counted with the reason.  The
+index of an item is its time, in seconds from the start time, which is ``epoch_ns``, or what a scene of our own states.
 
 A bundle is a zip of others: nothing is unpacked that its head does not bound, no name leads out of it, and every file
 is checked when it is needed.  Memory: the document, and one item of each stream.
@@ -306,9 +306,14 @@ class SceneSource(NonRosSource):
             lambda name: cut_text(name, _NAME),
             other=lambda name, n: f"{cut_text(name, _NAME - len(str(n)))}{n}",
         )
+        self.notes += [
+            f"{wanted[node]}: the device name is {device}"
+            for node, device in self._devices.items()
+            if device != wanted[node]
+        ]
         self._streams = [self._sequence(node) for node in sequences] + [self._still(node) for node in still]
         if not any(row.declared for row in self.rows):
-            raise UnsupportedRecording(f"{self._path}: found no poses, pictures, points or texts, expected some")
+            raise UnsupportedRecording(f"{self._path}: found no poses, pictures, points or strings, expected some")
 
     def _device(self, node: _Node, shown: _Node | None) -> str:
         """Return the name of a node as that of a device: of our own scenes, that of the device."""

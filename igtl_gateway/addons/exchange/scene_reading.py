@@ -450,7 +450,7 @@ class SceneReading:
     def _take_text(self, entry: Entry, row: ExportedStream, text: str) -> Track:
         track = self._items(entry, "Text", "", "", ({"text": "", "encoding": 1}, b""))
         if len(text) > _MOST_CHARS:
-            raise ConfigError(f"found {len(text):,} characters, expected at most {_MOST_CHARS:,} in a text of a scene")
+            raise ConfigError(f"found {len(text):,} characters, expected at most {_MOST_CHARS:,} in a node of strings")
         track.row = row
         if track.values and track.values[-1]["text"] == text:
             row.leave_out("the text before it, once more")
@@ -507,7 +507,7 @@ class SceneReading:
         row.taken += 1
 
     def _fits_any(self, entry: Entry) -> bool:
-        """Return whether a message of any ROS type has a few numbers or texts."""
+        """Return whether a message of any ROS type has a few numbers or strings."""
         try:
             numbers, texts = self._leaves(entry)
         except Exception:  # what cannot be decoded is not shown

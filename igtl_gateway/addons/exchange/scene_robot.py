@@ -25,7 +25,7 @@ Array = npt.NDArray[Any]
 _MM = 1000.0
 _GREY = (0.7, 0.7, 0.72)
 _SIDES = 24
-#: Joint states of these names are wishes.
+#: Joint states of these names are requests.
 _WANTED = ("setpoint_", "goal_", "servo_", "interpolate_", "move_")
 
 
@@ -56,22 +56,22 @@ class Robots:
     frames: set[str] = field(default_factory=set)
 
     @classmethod
-    def of(cls, texts: Sequence[tuple[str, str]], tracks: Mapping[Any, Track], published: set[str]) -> Robots:
-        """Return the robots of descriptions (topic and text).
+    def of(cls, descriptions: Sequence[tuple[str, str]], tracks: Mapping[Any, Track], published: set[str]) -> Robots:
+        """Return the robots of descriptions.
 
         Args:
-            texts: the descriptions.
+            descriptions: topic and content of each.
             tracks: of the session.
             published: frames that a stream has.
         """
         found = cls()
-        if not texts:
+        if not descriptions:
             return found
         if not is_present("view"):
             found.notes.append("the robot is not shown: the add-on view, which reads its description, is not installed")
             return found
         states = [each for each in tracks.values() if isinstance(each, NumberTrack) and each.joints]
-        for topic, text in dict(texts).items():
+        for topic, text in dict(descriptions).items():
             try:
                 found._add(topic, text, states, published)
             except GatewayError as error:

@@ -1,8 +1,8 @@
-"""The streams of a session as tracks of a scene: poses, pictures, items (surfaces, points, texts) and numbers.
+"""The streams of a session as tracks of a scene: poses, pictures, items (surfaces, points, strings) and numbers.
 
 A track collects what a stream has while the session is read once.  Its times become indexes when all streams are known,
 because they have one clock (``log.one_clock``).  3D Slicer takes indexes that differ by less than a millisecond for
-one, and its reader of poses rounds times to milliseconds, so every index is a whole number of them: of messages in
+one, and its reader of poses rounds times to milliseconds, so every index is an integer of them: of messages in
 the same millisecond the last one counts.
 """
 
@@ -261,7 +261,7 @@ def _vector(values: Array) -> str:
 
 @dataclass(slots=True)
 class ItemTrack(Track):
-    """Items with a file each: surfaces, points; or none: texts.  They are a scene in a bundle (``.seq.mrb``).
+    """Items with a file each: surfaces, points; or none: strings.  They are a scene in a bundle (``.seq.mrb``).
 
     Attributes:
         tag: element of an item.

@@ -93,7 +93,7 @@ for node in (words, pictures):
 logic.UpdateProxyNodesFromSequences(browser)
 marks = scene.AddNewNodeByClass("vtkMRMLMarkupsFiducialNode", "Landmarks")
 marks.AddControlPoint([1.0, 2.0, 3.0], "nose"); marks.AddControlPoint([-4.0, 5.0, 6.5], "ear")
-plain = scene.AddNewNodeByClass("vtkMRMLLinearTransformNode", "RegistrationToTracker")
+plain = scene.AddNewNodeByClass("vtkMRMLLinearTransformNode", "RegToTracker")
 matrix = vtk.vtkMatrix4x4(); matrix.SetElement(1, 3, 7.25); plain.SetMatrixTransformToParent(matrix)
 for node in (tool, words, pictures, marks):
     node.AddDefaultStorageNode()
@@ -118,7 +118,7 @@ def test_a_scene_that_slicer_wrote(tmp_path: Path) -> None:
         points = session["POINT/Landmarks"].points()[0]
         assert points.xyz.tolist() == [[1, 2, 3], [-4, 5, 6.5]]
         assert points.names == ("nose", "ear")
-        assert session["TRANSFORM/RegistrationToTracker"].poses().positions[0].tolist() == [0, 7.25, 0]
+        assert session["TRANSFORM/RegToTracker"].poses().positions[0].tolist() == [0, 7.25, 0]
 
 
 # -- what no program should trust

@@ -275,7 +275,7 @@ def test_a_name_with_a_meaning_to_slicer_keeps_its_poses(tmp_path: Path) -> None
 
 
 def test_words_of_any_kind_arrive(tmp_path: Path) -> None:
-    texts = ["a\nb", 'say "hi" & <bye>', "naïve ; : %20", "tab\there"]
+    texts = ["a\nb", 'call "hi" & <bye>', "naïve ; : %20", "tab\there"]
     messages = [(n * 20 * NS_PER_MS, Message("STRING", "Words", String(text.encode()))) for n, text in enumerate(texts)]
     made(session(tmp_path / "words.mcap", messages), tmp_path / "words.mrb")
     found, log = judged(tmp_path / "words.mrb")
