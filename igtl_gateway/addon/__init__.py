@@ -15,12 +15,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from igtl_gateway.api.clouds import Cloud as Cloud
+    from igtl_gateway.api.igtl_columns import POSE_TYPES as POSE_TYPES
     from igtl_gateway.api.igtl_columns import quaternions_of as quaternions_of
     from igtl_gateway.api.named_numbers import NAME_FIELDS as NAME_FIELDS
     from igtl_gateway.api.named_numbers import by_name as by_name
     from igtl_gateway.api.named_numbers import completed as completed
     from igtl_gateway.api.poses import between_poses as between_poses
     from igtl_gateway.api.poses import matrices_of as matrices_of
+    from igtl_gateway.api.posing import tools_of as tools_of
+    from igtl_gateway.api.posing import transforms_of as transforms_of
     from igtl_gateway.api.recording import Recording as Recording
     from igtl_gateway.api.recording import of_session as of_session
     from igtl_gateway.api.recording import open as open_recording
@@ -309,6 +313,8 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("gateway.log", "joining"),
     ("gateway.log.joining", "END_NS GAP_NS NEAR_NS pick"),
     ("api.poses", "between_poses matrices_of"),
+    ("api.posing", "tools_of transforms_of"),
+    ("api.clouds", "Cloud"),
     # Numbers of joints, by their names
     ("api.named_numbers", "NAME_FIELDS by_name completed"),
     ("gateway.log.marks", "Mark MarkNote ago_ns"),
@@ -330,7 +336,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("convert.names", "frames_of"),
     ("convert.poses", "rotation_matrix unit_quaternion"),
     ("convert.structs", "Pose"),
-    ("api.igtl_columns", "quaternions_of"),
+    ("api.igtl_columns", "POSE_TYPES quaternions_of"),
     # Video: a library that an extra installs, and its limits
     ("convert.bitstream", "is_key_frame"),
     ("edges.video.still", "decoded_still"),

@@ -17,6 +17,7 @@ from igtl_gateway.wire.header import DEVICE_NAME_AT, HEADER_VERSIONS, crc64
 from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, LPS, SCALARS, Image
 from igtl_gateway.wire.message import ExtendedHeader, sorted_items
 from igtl_gateway.wire.ndarray import NDARRAY_SCALARS, NdArray
+from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import CELL, NORMAL, Attribute, Cells, PolyData
 from igtl_gateway.wire.query import (
     EmptyQuery,
@@ -67,6 +68,7 @@ __all__ = [
     "Item",
     "Message",
     "NdArray",
+    "Points",
     "PolyData",
     "Position",
     "QueryReply",

@@ -36,7 +36,7 @@ from igtl_gateway.addon import (
     parse_xml,
     whole_number,
 )
-from igtl_gateway.addon.igtl import DEVICE_NAME_AT, Message, String, Transform, cut_text, encode, ns_to_ticks
+from igtl_gateway.addon.igtl import DEVICE_NAME_AT, Message, Points, String, Transform, cut_text, encode, ns_to_ticks
 from igtl_gateway.addons.exchange.scene_nodes import read_facts
 from igtl_gateway.addons.exchange.sequence import DEFAULT_EPOCH_NS
 from igtl_gateway.addons.exchange.sequence import Sequence as SequenceFile
@@ -50,9 +50,9 @@ from igtl_gateway.addons.exchange.source import (
     note_item,
     peer_item,
 )
-from igtl_gateway.wire.point import Points
 
 _LINK = 1
+_ZIP_HEAD = 30  # bytes of the head of a file in a zip
 _NAME = 20
 _COPIED = 1 << 20
 _BEGIN, _STREAM = "IgtlGateway.BeginNs", "IgtlGateway.Stream"
@@ -73,7 +73,7 @@ _END_NS = NS_PER_S << 32
 
 def looks_like_scene(start: bytes) -> bool:
     """Return whether the first bytes of a file are those of a bundle or of a scene."""
-    return start.startswith(b"PK\x03\x04") or b"<MRML" in start
+    return (start.startswith(b"PK\x03\x04") and len(start) > _ZIP_HEAD) or b"<MRML" in start
 
 
 class _Files:

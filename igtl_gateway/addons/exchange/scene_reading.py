@@ -16,6 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.addon import (
+    POSE_TYPES,
+    Cloud,
     ConfigError,
     Entry,
     FreeNames,
@@ -30,6 +32,8 @@ from igtl_gateway.addon import (
     of_session,
     recorded_acceptance,
     recorded_units,
+    tools_of,
+    transforms_of,
 )
 from igtl_gateway.addon.igtl import Cells, NdArray, PolyData, Sensor, Status, String, describe_content
 from igtl_gateway.addon.ros import FrameTransform, JointState, LinkStatusList, TFMessage
@@ -49,10 +53,7 @@ from igtl_gateway.addons.exchange.scene_tracks import (
 from igtl_gateway.addons.exchange.selection import IGTL_KINDS, ROS_KINDS, chosen_entries
 from igtl_gateway.addons.exchange.surface_out import export_surface_of, vtk
 from igtl_gateway.addons.exchange.volume_out import PICTURES, export_picture_of
-from igtl_gateway.api.clouds import Cloud
 from igtl_gateway.api.columns import name_ros_fields
-from igtl_gateway.api.igtl_columns import POSE_TYPES
-from igtl_gateway.api.posing import tools_of, transforms_of
 from igtl_gateway.convert.clouds import colour_field
 
 Array = npt.NDArray[Any]
