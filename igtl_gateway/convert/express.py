@@ -191,18 +191,20 @@ COMPILED = False
 #: points ⇄ PointCloud2, POLYDATA with points only ⇄ PointCloud2, IMAGE ⇄ Image with everything but the pixels as in
 #: the sample, Image of BGR → IMAGE of RGB, POLYDATA of points and triangles ⇄ Mesh, and the same ⇄ Marker of triangles
 #: (to OpenIGTLink only without colours and rotation), TDATA and QTDATA ⇄ messages of poses with the sample's tools,
-#: the metadata of any of them → Metadata, IMAGE → Volume with everything but the pixels as in the sample.
+#: the metadata of any of them → Metadata, IMAGE → Volume with everything but the pixels as in the sample,
+#: POINT with the sample's labels → PointList.
 #: Clouds to OpenIGTLink have only the fields x, y and z as float32; all numbers are finite.
-TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, MESH, TRIANGLES, TOOLS, METADATA, VOLUME = range(11)
+TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, MESH, TRIANGLES, TOOLS, METADATA, VOLUME, LANDMARKS = range(12)
 
 FillTemplate = Callable[..., tuple[Any, ...] | None]
 
-#: Like ``pose_to_ros``, with other meanings of some arguments.  ``sample``: the bytes before and after the content.
+#: Like ``pose_to_ros``, with other meanings of some arguments.  ``sample``: the bytes before and after the content; and
+#: for points with labels the content itself.
 #: ``at``, ``size``: the sizes of these two.  ``forms``: for each form the conversion, a template (for clouds and images
 #: up to the data; for a point the whole message; for a marker all but its points; for tools the whole message and its
 #: rows), the offsets of its stamp (0: none) and of its width (of a marker: of the number of its points; of tools: the
 #: bytes of one; of metadata: of the message id), and the number of bytes after the points of a marker or the pixels of
-#: a volume; for tools that of the rows.
+#: a volume; for tools and landmarks (the whole message and its rows, the offset of each place) that of the rows.
 #: The result has None for a form that does not apply to the content.
 bulk_to_ros: FillTemplate | None = None
 

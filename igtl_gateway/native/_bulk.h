@@ -17,7 +17,7 @@
 #endif
 
 /* The conversions of bulk messages; the same numbers as in express.py. */
-enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3, PICTURE = 4, BLUE_FIRST = 5, MESH = 6, TRIANGLES = 7, TOOLS = 8, METADATA = 9, VOLUME = 10 };
+enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3, PICTURE = 4, BLUE_FIRST = 5, MESH = 6, TRIANGLES = 7, TOOLS = 8, METADATA = 9, VOLUME = 10, LANDMARKS = 11 };
 
 #define POINT_BYTES 136 /* name 64, group 32, rgba 4, position 12, diameter 4, owner 20 */
 #define GROUP_AT 64
@@ -34,6 +34,8 @@ _Static_assert(POINT_BYTES == CRC64_ROW_BYTES && RGBA_AT == CRC64_WORD_AT, "a po
 #define TOOL_COMPARED 21
 #define TOOL_TO_ROS 32 /* its row after a template: name and type, padding, offsets of stamp (0: none) and pose */
 #define ROW_FROM_ROS 12 /* begin and end of a part that must be equal, offset of the pose after it (0: none) */
+#define LANDMARK_TO_ROS 4 /* its row after a template: the offset of its place */
+#define LANDMARK_BYTES 32 /* place and diameter there */
 #define WHITE 0xFFFFFFFFu
 #define MAX_TEXT 65535
 #define MIB_ASCII 3
@@ -332,8 +334,9 @@ WITH_AVX2 static uint32_t wide_points_to_igtl(const struct points *points, ssize
     return (uint32_t)_mm_movemask_epi8(odd_words);
 }
 
-/* Read points without labels: positions, colours and diameters. */
-WITH_AVX2 static uint32_t wide_points_to_ros(uint8_t *row, const uint8_t *one, ssize_t count, float times, float by)
+/* Read points without labels (``labels``: all bits; 0: with the labels of the sample): positions, colours and diameters. */
+WITH_AVX2 static uint32_t wide_points_to_ros(uint8_t *row, const uint8_t *one, ssize_t count, float times, float by,
+                                             uint32_t labels)
 {
     const __m128i swap = _mm_set_epi8(12, 13, 14, 15, 8, 9, 10, 11, 4, 5, 6, 7, 0, 1, 2, 3);
     const __m128i colour = _mm_set_epi8(15, 12, 13, 14, 8, 9, 10, 11, 4, 5, 6, 7, 0, 1, 2, 3); /* BGRA of RGBA */
@@ -350,7 +353,7 @@ WITH_AVX2 static uint32_t wide_points_to_ros(uint8_t *row, const uint8_t *one, s
         words = _mm_or_si128(words, _mm_andnot_si128(place, _mm_shuffle_epi8(turned, colour)));
         _mm_storeu_si128((__m128i *)(void *)row, words);
         uint32_t diameter = word_of(scaled(get_u32(one + POSITION_AT + 12), times, by));
-        odd |= not_finite(diameter) | labels_of(one);
+        odd |= not_finite(diameter) | (labels & labels_of(one));
         put_u32_ros(row + 16, diameter);
     }
     return odd | (uint32_t)_mm_movemask_epi8(odd_words);
@@ -426,7 +429,23 @@ struct igtl_bulk {
     ssize_t at, tail;
     int check_crc;
     double times, by;
+    ssize_t landmarks; /* bytes of the points in the sample, which follow it; 0: points without labels, or others */
 };
+
+/* The landmarks of the sample of a stream. */
+static const uint8_t *landmarks_of(const struct igtl_bulk *stream) { return stream->sample + stream->at + stream->tail; }
+
+/* Whether points have the labels and colours of those in the sample; their places and diameters may be others. */
+static int has_labels(const struct igtl_bulk *stream, const uint8_t *content, ssize_t size)
+{
+    if (size != stream->landmarks)
+        return 0;
+    for (ssize_t at = 0; at < size; at += POINT_BYTES)
+        if (!equal(content + at, landmarks_of(stream) + at, 0, POSITION_AT) ||
+            !equal(content + at, landmarks_of(stream) + at, OWNER_AT, POINT_BYTES))
+            return 0;
+    return 1;
+}
 
 /* A form of a ROS message: its template, and its room.  ``width_at`` of tools: the bytes of one in OpenIGTLink; of
  * metadata: the place of the message id. */
@@ -434,7 +453,8 @@ struct ros_form {
     int form;
     const uint8_t *template;
     ssize_t room, stamp_at, width_at;
-    ssize_t rest; /* bytes of the template after the points of a marker or the pixels of a volume; of tools: their rows */
+    ssize_t rest; /* bytes of the template after the points of a marker or the pixels of a volume; of tools and landmarks:
+                   * their rows */
     ssize_t count, cells; /* points and triangles, see prepare_form */
     ssize_t size;  /* of the message; 0: the row does not apply */
     uint8_t *out;
@@ -450,6 +470,8 @@ static int bulk_from_igtl_fits(const struct igtl_bulk *stream, const uint8_t *da
         return 0;
     ssize_t extended = sample[1] == 2 ? EXTENDED_SIZE : 0; /* its last 4 bytes are the message id */
     if (extended && !equal(data, sample, HEADER_SIZE, HEADER_SIZE + EXTENDED_SIZE - 4))
+        return 0;
+    if (stream->landmarks && !has_labels(stream, data + at, size - at - tail))
         return 0;
     return equal(data, sample, HEADER_SIZE + extended, at) && !memcmp(data + size - tail, sample + at, (size_t)tail);
 }
@@ -516,6 +538,18 @@ static int has_tool_rows(const struct ros_form *form)
     return form->stamp_at <= size - 8;
 }
 
+/* Whether the rows of landmarks are within the template, and one of them at least. */
+static int has_landmark_rows(const struct ros_form *form)
+{
+    ssize_t size = form->room - form->rest;
+    if (size < 12 || form->rest < LANDMARK_TO_ROS || form->rest % LANDMARK_TO_ROS || form->stamp_at > size - 8)
+        return 0;
+    for (ssize_t at = size; at < form->room; at += LANDMARK_TO_ROS)
+        if ((ssize_t)get_u32_ros(form->template + at) > size - LANDMARK_BYTES)
+            return 0;
+    return 1;
+}
+
 /* Whether a form that the caller has read has room for what is filled in. */
 static int has_room(const struct ros_form *form)
 {
@@ -524,6 +558,8 @@ static int has_room(const struct ros_form *form)
         return 0;
     if (form->form == TOOLS)
         return has_tool_rows(form);
+    if (form->form == LANDMARKS)
+        return has_landmark_rows(form);
     return form->form == TEXT || form->form == MESH ||
            (before >= 32 && form->stamp_at + 8 <= before && form->width_at + 4 <= before);
 }
@@ -545,6 +581,11 @@ static int prepare_form(struct ros_form *form, const uint8_t *content, ssize_t s
     if (form->form == METADATA) {
         form->size = form->room;
         return 1;
+    }
+    if (form->form == LANDMARKS) {
+        form->count = form->rest / LANDMARK_TO_ROS;
+        form->size = form->room - form->rest;
+        return size == POINT_BYTES * form->count;
     }
     if (form->form == TEXT) {
         uint32_t head = size < 4 ? 0 : get_u32(content);
@@ -583,7 +624,7 @@ static int prepare_form(struct ros_form *form, const uint8_t *content, ssize_t s
     return bytes <= UINT32_MAX;
 }
 
-static uint32_t put_point(uint8_t *out, const uint8_t *content, double times, double by)
+static uint32_t put_point(uint8_t *out, const uint8_t *content, double times, double by, uint32_t labels)
 {
     double place[3];
     for (int axis = 0; axis < 3; axis++) {
@@ -593,14 +634,14 @@ static uint32_t put_point(uint8_t *out, const uint8_t *content, double times, do
         place[axis] = value * times / by;
     }
     memcpy(out, place, sizeof place);
-    return labels_of(content);
+    return labels & labels_of(content);
 }
 
-static uint32_t put_points(uint8_t *row, const uint8_t *one, ssize_t count, float times, float by)
+static uint32_t put_points(uint8_t *row, const uint8_t *one, ssize_t count, float times, float by, uint32_t labels)
 {
 #if defined(__x86_64__)
     if (has_avx2)
-        return wide_points_to_ros(row, one, count, times, by);
+        return wide_points_to_ros(row, one, count, times, by, labels);
 #endif
     uint32_t odd = 0;
     for (; count > 0; count--, one += POINT_BYTES, row += ROW_OF_POINTS) {
@@ -610,10 +651,21 @@ static uint32_t put_points(uint8_t *row, const uint8_t *one, ssize_t count, floa
             put_u32_ros(row + 4 * axis, word);
         }
         uint32_t rgba = get_u32(one + RGBA_AT), diameter = word_of(scaled(get_u32(one + POSITION_AT + 12), times, by));
-        odd |= not_finite(diameter) | labels_of(one);
+        odd |= not_finite(diameter) | (labels & labels_of(one));
         put_u32_ros(row + 12, rgba << 24 | rgba >> 8);
         put_u32_ros(row + 16, diameter);
     }
+    return odd;
+}
+
+/* Write places and diameters of landmarks, each four numbers; not 0: the message needs the full path. */
+static uint32_t put_landmarks(const struct ros_form *form, const struct igtl_bulk *stream, const uint8_t *content)
+{
+    const uint8_t *row = form->template + form->room - form->rest;
+    uint32_t odd = 0;
+    for (ssize_t i = 0; i < form->count; i++)
+        odd |= floats_to_doubles(content + POINT_BYTES * i + POSITION_AT, form->out + get_u32_ros(row + LANDMARK_TO_ROS * i),
+                                 4, stream->times, stream->by);
     return odd;
 }
 
@@ -712,6 +764,7 @@ static uint32_t put_block(const struct ros_form *form, const struct igtl_bulk *s
                           ssize_t begin, ssize_t end)
 {
     float times = (float)stream->times, by = (float)stream->by;
+    uint32_t labels = stream->landmarks ? 0 : UINT32_MAX;
     uint8_t *out = form->out + form->room;
     if (form->form == VOLUME)
         out -= form->rest;
@@ -729,11 +782,13 @@ static uint32_t put_block(const struct ros_form *form, const struct igtl_bulk *s
         return 0;
     if (form->form == TOOLS)
         return begin ? 0 : put_tools(form, stream, content);
+    if (form->form == LANDMARKS)
+        return begin ? 0 : put_landmarks(form, stream, content);
     if (form->form == POINT)
-        return put_point(form->out + form->size - 24, content, stream->times, stream->by);
+        return put_point(form->out + form->size - 24, content, stream->times, stream->by, labels);
     if (form->form == POINTS)
         return put_points(out + begin / POINT_BYTES * ROW_OF_POINTS, content + begin, (end - begin) / POINT_BYTES, times,
-                          by);
+                          by, labels);
     uint32_t odd = 0;
     if (form->form == MESH || form->form == TRIANGLES)
         return put_surface_block(form, stream, content, begin, end);

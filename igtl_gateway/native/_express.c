@@ -179,7 +179,8 @@ static PyObject *bulk_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t
     if (PyErr_Occurred() || !PyArg_ParseTuple(args[7], "dd", &stream.times, &stream.by))
         return NULL;
     Py_ssize_t forms_count = PyTuple_GET_SIZE(args[8]);
-    if (stream.tail < 0 || stream.at + stream.tail != PyBytes_GET_SIZE(args[1]) ||
+    stream.landmarks = PyBytes_GET_SIZE(args[1]) - stream.at - stream.tail;
+    if (stream.tail < 0 || stream.landmarks < 0 || stream.landmarks % POINT_BYTES ||
         stream.at < HEADER_SIZE + (stream.sample[1] == 2 ? EXTENDED_SIZE : 0)) {
         PyErr_SetString(PyExc_ValueError, "bulk_to_ros: a sample that is not all but the content");
         return NULL;
@@ -209,8 +210,8 @@ static PyObject *bulk_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t
             goto failed;
         form->template = (const uint8_t *)PyBytes_AS_STRING(template);
         form->room = PyBytes_GET_SIZE(template);
-        if (form->form < TEXT || form->form > VOLUME || form->form == BLUE_FIRST || !has_room(form) ||
-            (form->form == METADATA && stream.sample[1] != 2)) {
+        if (form->form < TEXT || form->form > LANDMARKS || form->form == BLUE_FIRST || !has_room(form) ||
+            (form->form == METADATA && stream.sample[1] != 2) || (form->form == LANDMARKS && !stream.landmarks)) {
             PyErr_SetString(PyExc_ValueError, "bulk_to_ros: a form without room for stamp and width");
             goto failed;
         }

@@ -2178,10 +2178,10 @@ static Stream *new_stream(Passage *passage, const char *sample, Py_ssize_t size)
     return self;
 }
 
-/* Note the metadata at the end of the sample, which has room for the sizes before them if there are any. */
-static void set_metadata(Stream *self, ssize_t sample_size, ssize_t size)
+/* Note the metadata in the sample, which has room for the sizes before them if there are any. */
+static void set_metadata(Stream *self, ssize_t at, ssize_t size)
 {
-    self->metadata = (struct metadata){self->sample + HEADER_SIZE, self->sample + sample_size - size, size};
+    self->metadata = (struct metadata){self->sample + HEADER_SIZE, self->sample + at, size};
 }
 
 /* The next output; NULL: an exception is set. */
@@ -2261,7 +2261,7 @@ static PyObject *passage_to_ros(Passage *self, PyObject *args)
     memcpy(stream->names, names, NAMES_BYTES);
     stream->from_igtl = (struct igtl_poses){stream->sample, size, at, bytes, check_crc, times, by};
     stream->own = own, stream->place_at = place_at, stream->number = number;
-    set_metadata(stream, size, size - at - bytes);
+    set_metadata(stream, at + bytes, size - at - bytes);
     for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(outputs); i++) {
         const char *template;
         Py_ssize_t length, stamp_at, id_at;
@@ -2297,7 +2297,8 @@ static PyObject *passage_to_ros_bulk(Passage *self, PyObject *args)
     if (!PyArg_ParseTuple(args, "O!y#y#nnppddKO!p", &Link_Type, &link, &names, &names_size, &sample, &size, &at, &tail,
                           &check_crc, &own, &times, &by, &number, &PyTuple_Type, &outputs, &keeps))
         return NULL;
-    if (names_size != NAMES_BYTES || tail < 0 || (tail && sample[1] != 2) || at + tail != size || at < HEADER_SIZE + (sample[1] == 2 ? EXTENDED_SIZE : 0)) {
+    if (names_size != NAMES_BYTES || tail < 0 || (tail && sample[1] != 2) || size < at + tail ||
+        (size - at - tail) % POINT_BYTES || at < HEADER_SIZE + (sample[1] == 2 ? EXTENDED_SIZE : 0)) {
         PyErr_SetString(PyExc_ValueError, "to_ros_bulk: a sample that is not all but the content");
         return NULL;
     }
@@ -2307,9 +2308,9 @@ static PyObject *passage_to_ros_bulk(Passage *self, PyObject *args)
     stream->link = (Link *)Py_NewRef((PyObject *)link);
     memcpy(stream->names, names, NAMES_BYTES);
     stream->is_bulk = 1;
-    stream->bulk_from_igtl = (struct igtl_bulk){stream->sample, at, tail, check_crc, times, by};
+    stream->bulk_from_igtl = (struct igtl_bulk){stream->sample, at, tail, check_crc, times, by, size - at - tail};
     stream->own = own, stream->number = number, stream->keeps = (char)keeps;
-    set_metadata(stream, size, tail);
+    set_metadata(stream, at, tail);
     for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(outputs); i++) {
         const char *template;
         Py_ssize_t room, stamp_at, width_at, rest;
@@ -2323,8 +2324,8 @@ static PyObject *passage_to_ros_bulk(Passage *self, PyObject *args)
             goto failed;
         output->form = (struct ros_form){.form = form, .template = output->template, .room = room, .stamp_at = stamp_at,
                                          .width_at = width_at, .rest = rest};
-        if (form < TEXT || (form > PICTURE && form < TOOLS) || form > VOLUME || !has_room(&output->form) ||
-            (form == METADATA && sample[1] != 2)) {
+        if (form < TEXT || (form > PICTURE && form < TOOLS) || form > LANDMARKS || !has_room(&output->form) ||
+            (form == METADATA && sample[1] != 2) || (form == LANDMARKS && size == at + tail)) {
             PyErr_SetString(PyExc_ValueError, "to_ros_bulk: a form without room for stamp and width");
             goto failed;
         }

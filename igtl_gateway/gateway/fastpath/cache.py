@@ -39,6 +39,10 @@ MOST_AT_ONCE = 64
 #: one whose messages never fit keeps the full path.
 MAX_COMPILED = 8
 
+#: Messages of a peer that a compiled stream has passed, from which on its compilation does not count: a landmark that
+#: is added changes the next messages, too.
+WORTH = 16
+
 #: Size of messages, and number of streams to peers, that are compiled again at once when the peers change.
 _LARGEST_LEARNED = 32 << 10
 _MOST_LEARNED = 32
@@ -142,6 +146,8 @@ class FastPath:
                 else:
                     entries = to_ros(seq, stamp_ns, payload, links, ask, made if stream is to_ros else None)
                 if entries is None:
+                    if to_ros.passed >= WORTH:
+                        self._compiled[device_key] = self._compiled.get(device_key, 1) - 1
                     self._drop(self.to_ros, device_key)
                 elif native and entries:
                     native.handled(device_key, to_ros)

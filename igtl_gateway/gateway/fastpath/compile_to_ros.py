@@ -15,12 +15,24 @@ from typing import Any
 import numpy as np
 
 from igtl_gateway.config.settings import SOURCE
-from igtl_gateway.convert import clouds, express, images, poses, rosmsg, surfaces, texts, tracking, volumes
+from igtl_gateway.convert import (
+    clouds,
+    express,
+    images,
+    poses,
+    rosmsg,
+    surfaces,
+    texts,
+    tracking,
+    trajectories,
+    volumes,
+)
 from igtl_gateway.convert.assembly import VolumeAssembler, form_of
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.express import (
     CLOUD,
+    LANDMARKS,
     MATRIX,
     MESH,
     METADATA,
@@ -43,7 +55,7 @@ from igtl_gateway.convert.trajectories import is_labeled
 from igtl_gateway.gateway.fastpath import metadata
 from igtl_gateway.gateway.fastpath.common import NAMES_AT, STAMP_AT, CompileContext, end_of_name
 from igtl_gateway.gateway.fastpath.compiled_to_ros import Assembly, CompiledToRos, Defer
-from igtl_gateway.gateway.fastpath.tools import tools_form
+from igtl_gateway.gateway.fastpath.tools import landmarks_form, tools_form
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.to_ros.beforehand import Beforehand
 from igtl_gateway.gateway.to_ros.convert import METADATA_QOS
@@ -53,6 +65,7 @@ from igtl_gateway.wire.header import HEADER_SIZE
 from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.message import EXTENDED_SIZE
+from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import Cells, PolyData
 
 #: Conversion function of a pose → offset of the stamp in its CDR, which ends with the pose.
@@ -72,6 +85,7 @@ _BULK_TO_ROS: dict[Callable[..., Any], int] = {
     clouds.polydata_to_cloud: CLOUD,
     surfaces.polydata_to_mesh: MESH,
     surfaces.polydata_to_marker: TRIANGLES,
+    trajectories.points_to_point_list: LANDMARKS,
     images.image_to_ros: PICTURE,
     volumes.image_to_volume: VOLUME,
     tracking.tracking_to_ros: TOOLS,
@@ -165,7 +179,8 @@ def compile_to_ros(
     if fill is None:
         return None
     place_at = at + _PLACE_AT[size] if size else None
-    sample = bytes(data) if size else bytes(data[:at]) + bytes(data[len(data) - tail :])
+    labels = content.elements.tobytes() if isinstance(content, Points) and is_labeled(content) else b""
+    sample = bytes(data) if size else bytes(data[:at]) + bytes(data[len(data) - tail :]) + labels
     latched = frozenset(topic for topic, _, _ in forms if (known := common.qos(topic)) and known.latched)
     return CompiledToRos(
         fill,
@@ -181,8 +196,9 @@ def compile_to_ros(
         place_at,
         (common.waiting, latched),
         volume,
-        _defer(rows, to, volume and content, at) if isinstance(content, PolyData | Image) else None,
+        _defer(rows, to, volume and content, at) if labels or isinstance(content, PolyData | Image) else None,
         frames.passed_over if frames and volume else None,
+        keeps=bool(labels),
     )
 
 
@@ -234,6 +250,8 @@ def _bulk_form(row: ConversionToRos, content: Any, to: ToRosContext, beforehand:
         return POINT, rosmsg.PointStamped(header, (0.0, 0.0, 0.0)).pack(), STAMP_AT, 0, 0
     if form is None or (form in (MESH, TRIANGLES) and exceeds_standard(content)):
         return None
+    if form == LANDMARKS:
+        return landmarks_form(row, content, to)
     if form == MESH:
         return MESH, b"", 0, 0, 0
     if form == TRIANGLES:

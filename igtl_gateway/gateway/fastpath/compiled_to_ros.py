@@ -71,6 +71,7 @@ class CompiledToRos:
         waiting: last messages of latched topics without a subscriber, and the latched topics of ``forms``.
         volume: for images, of which later messages may be parts.
         passed_over: counts messages that the search for PLUS leaves out.
+        keeps: the native passage keeps the last message, for the first subscriber of a latched topic.
         defer: keeps a message for latched topics without a subscriber; None: then the full path takes it.
 
     Attributes:
@@ -78,7 +79,8 @@ class CompiledToRos:
         outputs: topic, ROS type, form and counts of each output.
         channel, type: of the stream.
         count: counts of the stream.
-        keeps: the last message is kept for later ones, which may be parts of it.
+        keeps: the last message is kept for later ones, which may be parts of it, or for the first subscriber.
+        passed: number of messages.
     """
 
     def __init__(
@@ -98,6 +100,8 @@ class CompiledToRos:
         volume: Assembly | None = None,
         defer: Defer | None = None,
         passed_over: Callable[[int], None] | None = None,
+        *,
+        keeps: bool = False,
     ) -> None:
         self._fill = fill
         self.sample = sample
@@ -117,7 +121,8 @@ class CompiledToRos:
         self._volume = volume
         self._defer = defer
         self._passed_over = passed_over
-        self.keeps = volume is not None
+        self.keeps = keeps or volume is not None
+        self.passed = 0
         self._is_patched = all(ros_type in _HEADED or ros_type == _STAMPLESS for _, ros_type, _ in forms)
 
     @property
@@ -144,6 +149,7 @@ class CompiledToRos:
             )
             late = (topic for number, (topic, _, _, _) in enumerate(self.outputs) if last.waits >> number & 1)
             self._keep(entry, shown_ns, frozenset(late))
+        self.passed += messages
         if self._passed_over is not None:
             self._passed_over(messages)
 

@@ -9,7 +9,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
-from igtl_gateway.convert.express import BLUE_FIRST, CLOUD, METADATA, PICTURE, POINT, POINTS, TEXT, TOOLS, VOLUME
+from igtl_gateway.convert.express import (
+    BLUE_FIRST,
+    CLOUD,
+    LANDMARKS,
+    METADATA,
+    PICTURE,
+    POINT,
+    POINTS,
+    TEXT,
+    TOOLS,
+    VOLUME,
+)
 from igtl_gateway.gateway.fastpath.common import Key
 from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
 from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos, Passed
@@ -21,7 +32,7 @@ from igtl_gateway.native.passage import Guard, Link, Passage, Publisher, Stream,
 from igtl_gateway.wire.header import HEADER_SIZE
 
 #: Conversions of bulk that can pass natively.
-_FORMS = frozenset({TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, TOOLS, METADATA, VOLUME})
+_FORMS = frozenset({TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, TOOLS, METADATA, VOLUME, LANDMARKS})
 
 #: Largest message, in bytes, that the passage reads for Python, if the limits of the links permit it.
 LARGEST_BYTES = 16 << 20

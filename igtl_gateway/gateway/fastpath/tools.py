@@ -18,7 +18,7 @@ from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.context import ToRosContext
-from igtl_gateway.convert.express import TOOLS
+from igtl_gateway.convert.express import LANDMARKS, TOOLS
 from igtl_gateway.convert.igtl_msgs import TrackingData
 from igtl_gateway.convert.structs import Pose
 from igtl_gateway.convert.table import ConversionToRos
@@ -31,7 +31,8 @@ MAX_TOOLS = 256
 _TO_ROS = struct.Struct("<21s3xII")
 #: Begin and end of a part that must be equal, offset of the pose after it (0: none).
 _FROM_ROS = struct.Struct("<III")
-_HEAD_SIZE, _STAMP_SIZE, _POSE_SIZE = 21, 8, 56
+_HEAD_SIZE, _STAMP_SIZE, _POSE_SIZE, _PLACE_SIZE = 21, 8, 56, 32
+_U32 = struct.Struct("<I")
 #: Two stamps and two numbers of which all bytes are different.
 _STAMPS = tuple(byte * NS_PER_S + byte for byte in (0x11111111, 0x22222222))
 _ONE, _OTHER = ((number,) * 7 for number in struct.unpack("<2d", b"\x11" * 8 + b"\x22" * 8))
@@ -52,6 +53,26 @@ def tools_form(row: ConversionToRos, content: Any, to: ToRosContext) -> tuple[An
     heads = (element.tobytes()[:_HEAD_SIZE] for element in elements)
     rows = b"".join(_TO_ROS.pack(*one) for one in zip(heads, each, poses, strict=True))
     return TOOLS, template + rows, stamps[0], elements.dtype.itemsize, len(rows)
+
+
+def landmarks_form(row: ConversionToRos, content: Any, to: ToRosContext) -> tuple[Any, ...] | None:
+    """Return the form of a list of labelled points; None if there are none or too many."""
+    count = len(content.elements)
+    if not 0 < count <= MAX_TOOLS:
+        return None
+    made: Any = row.convert(content, to)
+    template, other = (_with_places(made, number).pack() for number in (_ONE[0], _OTHER[0]))
+    places = _differences(template, other, _PLACE_SIZE)
+    if len(places) != count:
+        return None
+    rows = b"".join(map(_U32.pack, places))
+    return LANDMARKS, template + rows, STAMP_AT, 0, len(rows)
+
+
+def _with_places(message: Any, number: float) -> Any:
+    """Return landmarks with all places and diameters replaced."""
+    points = (replace(point, position=(number,) * 3, diameter=number) for point in message.points)
+    return replace(message, points=tuple(points))
 
 
 def _with_poses(message: Any, pose: Pose) -> Any:

@@ -179,7 +179,7 @@ def _points(draw: st.DrawFn) -> Points:
     points = Points.of(places.astype(">f4"), None if draw(st.booleans()) else np.full((len(places), 4), 200, np.uint8))
     points.elements["diameter"] = _mostly(draw, draw(st.floats(0, 50, width=32)), math.inf)
     if len(places):
-        points.elements[_mostly(draw, "rgba", "name", "group", "owner")][-1] = 7
+        points.elements[_mostly(draw, draw(st.sampled_from(["rgba", "name"])), "group", "owner")][-1] = 7
     return points
 
 
@@ -384,7 +384,15 @@ def others(draw: st.DrawFn) -> Step:
     kind, link = draw(st.sampled_from(kinds)), draw(st.sampled_from([1, 2, 3]))
     if kind == LISTENED:
         return "listened", draw(
-            st.sampled_from(["/igtl/in/B/points", "/igtl/in/B/mesh", "/igtl/in/B/marker", "/igtl/in/B/volume"])
+            st.sampled_from(
+                [
+                    "/igtl/in/B/points",
+                    "/igtl/in/B/mesh",
+                    "/igtl/in/B/marker",
+                    "/igtl/in/B/volume",
+                    "/igtl/in/B/landmarks",
+                ]
+            )
         )
     if kind == SETTING:
         return "change", draw(st.sampled_from(CHANGES))
@@ -478,7 +486,7 @@ def test_a_session_with_the_fast_path_is_the_session_without(
     st.sampled_from(
         [
             *(None, set(), {"/igtl/in/B/point"}, {"/igtl/in/B/points", "/igtl/in/B/image"}, {"/igtl/in/B/metadata"}),
-            *({"/igtl/in/B/image"}, {"/igtl/in/B/volume"}),
+            *({"/igtl/in/B/image"}, {"/igtl/in/B/volume"}, {"/igtl/in/B/landmarks"}),
             *({"/igtl/in/B/mesh"}, {"/igtl/in/B/marker"}, {"/igtl/in/B/mesh", "/igtl/in/B/marker"}),
         ]
     ),

@@ -14,7 +14,7 @@ from igtl_gateway.base.buffers import join
 from igtl_gateway.base.stamp import ns_to_ticks
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert import express
-from igtl_gateway.convert.igtl_msgs import Metadata, Volume
+from igtl_gateway.convert.igtl_msgs import Metadata, PointList, Volume
 from igtl_gateway.gateway import Session
 from igtl_gateway.gateway.fastpath.metadata import LARGEST_BLOCK, MOST_BLOCKS, block_size, to_ros_key
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -86,6 +86,24 @@ def test_a_tool_that_comes_and_goes_stays_on_the_fast_path() -> None:
     assert len(general) == 2 + 2  # a block besides the first when it comes a second time running
     frames = [entry for entry in entries if entry.channel == "/tf"]
     assert len(frames) == blocks.count(SLICER), "a pose that is marked as not valid is left out of /tf"
+
+
+@compiled
+def test_landmarks_stay_on_the_fast_path_while_they_move_and_when_one_is_added() -> None:
+    session, general = watched_session()
+    messages = []
+    for number in range(20 * 12):
+        places = np.full((1 + number // 20, 3), number, ">f4")
+        points = Points.of(places, diameters=number)
+        points.elements["name"] = [b"F-%d" % index for index in range(len(places))]
+        points.elements["owner"][-1] = b"CT"
+        messages.append(sent(number, SLICER, "POINT", points))
+    entries = given(session, messages)
+    assert len(general) == 1 + 12
+    lists = [PointList.unpack(entry.data()) for entry in entries if entry.channel.endswith("/landmarks")]
+    assert [one.points[-1].diameter for one in lists] == [number / 1_000 for number in range(240)]
+    assert [len(one.points) for one in lists] == [1 + number // 20 for number in range(240)]
+    assert {item.value for one in lists for item in one.metadata} == {"Probe", "unknown", "OK"}
 
 
 def numbered(number: int) -> tuple[Item, ...]:
@@ -168,13 +186,21 @@ def test_poses_of_slicer_pass_natively(recorded: bool, monkeypatch: pytest.Monke
         assert recorded_ids == [number for number in range(305) if number != 150]
 
 
+def landmarks(number: int) -> Points:
+    """Three fiducials of Slicer that move, once without names."""
+    points = Points.of(np.full((3, 3), number, ">f4"))
+    if number != 8:
+        points.elements["name"] = [b"F-1", b"F-2", b"F-3"]
+    return points
+
+
 @native
 def test_texts_points_and_pictures_of_slicer_pass_natively(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     path, config = tmp_path / "session.mcap", Config().watched()
     side = 300
     contents: dict[str, Any] = {
         "STRING": lambda number: StringBody.of(f"text {number}"),
-        "POINT": lambda number: Points.of(np.full((1 + number % 5, 3), number, ">f4")),
+        "POINT": landmarks,
         "IMAGE": lambda number: Image((side, side, 1), 3, bytes([number]) * (3 * side * side), 3, wire_matrix=CENTRED),
     }
     with scene(monkeypatch, config, path) as here:
@@ -187,7 +213,7 @@ def test_texts_points_and_pictures_of_slicer_pass_natively(monkeypatch: pytest.M
                 count += 1
                 wait_for(lambda count=count: here.received("igtl_in") == count)
 
-        for number in (1, 2, 4, 5, 7, 8, 9, 9, 9, 9, 10, 12):
+        for number in (1, 2, 4, 5, 7, 8, 9, 9, 9, 9, 10, 11, 11, 12):
             send(number)
         assert here.native == 6
         with counted_by_python(here) as handled:

@@ -61,6 +61,8 @@ from igtl_gateway.wire.tracking import QuaternionTrackingData as QuaternionTrack
 from igtl_gateway.wire.tracking import TrackingData as Tracked
 from igtl_gateway.wire.transform import Position, Transform
 from tests.gateway.fastpath.test_cache import (
+    MISSING,
+    SLICER,
     fields,
     igtl_bulk,
     igtl_messages,
@@ -401,16 +403,17 @@ def _send_odd_pose(here: Scene, rng: random.Random, step: int) -> None:
 
 
 def _odd_message(rng: random.Random, step: int) -> bytes:
-    kind, ticks, version = rng.random(), ns_to_ticks(_stamp(rng)), rng.choice([1, 1, 1, 2])
+    kind, ticks, version = rng.random(), ns_to_ticks(_stamp(rng)), rng.choice([1, 2])
     device = rng.choice(["ToolToBase", "Aged", "Third"])
+    items = rng.choice([SLICER, SLICER, MISSING, ()]) if version == 2 else ()
     if kind < 0.9:
         content: Any = Transform((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, *_numbers(rng, step)))
-        message = Message("TRANSFORM", device, content, ticks, version)
+        message = Message("TRANSFORM", device, content, ticks, version, step, items)
     elif kind < 0.95:
         content = Position(_numbers(rng, step), _rotation(rng), "all")
-        message = Message("POSITION", device, content, ticks, version)
+        message = Message("POSITION", device, content, ticks, version, step, items)
     elif kind < 0.98:
-        message = Message("STRING", device, StringBody.of("text"), ticks, version)
+        message = Message("STRING", device, StringBody.of("text"), ticks, version, step, items)
     else:
         message = Message("STATUS", device, Status(1, 0, "", "ok"), ticks, version)
     data = bytearray(join(encode(message)))
