@@ -85,7 +85,10 @@ CONFORMANCE = ("<!-- conformance -->", "<!-- /conformance -->")
 #: Key of the metadata → its meaning; a test holds the keys against ``metadata.OURS``.
 KEYS = {
     metadata.FULL_NAME: "device name, if it is longer than the 20 bytes of the header",
-    metadata.STAMP: "stamp of the ROS header, UTC nanoseconds as a decimal number",
+    metadata.STAMP: (
+        "stamp of the ROS header, UTC nanoseconds as a decimal number; to 3D Slicer, if ROS has none, that of the "
+        "message"
+    ),
     metadata.FRAME_ID: "`frame_id` of the ROS header; for a transform the parent frame",
     metadata.CHILD_FRAME_ID: "`child_frame_id` of a transform",
 }
@@ -491,9 +494,49 @@ def _profile(profile: PeerProfile) -> str:
         parts.append(f"Gets the metadata that it expects with {code(sorted(map(_sections_of, profile.expects)))}.")
     if profile.adapt:
         parts.append("\n".join(f"- {_sections_of(kind)}: {paragraphs(how)[0]}" for kind, how in profile.adapt.items()))
+    if profile.arm_unit:
+        parts.append(
+            prose(f"""Gets and sends the poses of CRTK arms in {profile.arm_unit}, whatever the unit of other
+            peers is: a note (`arm_unit`) reports it.  Recordings that are older than this rule and the next table are
+            verified and replayed without them.""")
+        )
+    if profile.instead:
+        parts += _substitutes(profile)
     if profile.reads is not None and profile.reads >= CPP_FACTORY:
         parts.append(prose(f"The types of its factory: {code(sorted(profile.reads))}."))
     return document(*parts).rstrip()
+
+
+def _substitutes(profile: PeerProfile) -> list[str]:
+    """Return what a peer gets in place of types that it does not read, and what its versions read."""
+    rows = [
+        (code(row.types) if row.types != ("*",) else "all others", row.shown_as or "nothing", row.why)
+        for row in dict.fromkeys(profile.instead.values())
+    ]
+    return [
+        prose(f"""The types that it reads: {code(sorted(profile.reads or ()))}.  In place of others it gets:"""),
+        table(("type", "in its place", "reason"), rows),
+        prose(
+            """A note names each stream (`shown_instead`, or `not_for_peer` if nothing is sent), and the ledger counts
+            what is not sent (`not_for_slicer`).  Names are kept apart from those of other streams.  Until the first
+            message of a peer, or for 250 ms, it gets no type that 3D Slicer does not read.  The versions of the
+            connector:"""
+        ),
+        table(
+            ("SlicerOpenIGTLink", "reads", "source"),
+            [
+                ("2018", "COMMAND IMAGE POLYDATA STATUS STRING TRANSFORM VIDEO", "OpenIGTLinkIO 34d1bcf"),
+                ("since April 2019", "IMGMETA, LBMETA, POINT", "OpenIGTLinkIO 5effea3"),
+                (
+                    "since October 2019",
+                    "TDATA; with tools in an unusual order it crashes before July 2025",
+                    "#95, #141",
+                ),
+                ("since November 2020", "POINT as markups", "576d3dd"),
+                ("since May 2022", "metadata as attributes of the node", "73df3c2"),
+            ],
+        ),
+    ]
 
 
 def _sections_of(kind: type) -> str:

@@ -66,6 +66,8 @@ NOTES: dict[str, dict[str, str]] = {
         "unknown_status": "a reply to a command has an unknown status",
         "empty": "a message of a known type has no content and is not published",
         "no_conversion": "the type has no conversion and is forwarded as igtl_msgs/RawMessage",
+        "shown_instead": "a peer does not read the type of a stream, and gets what shows the same",
+        "arm_unit": "a peer gets and sends CRTK arms in a unit of its own",
         "not_for_peer": "the profile of a peer does not allow this type, so this peer does not receive it",
         "stream": "the first message of a stream: where it goes",
         "listened": "a topic has its first subscriber, so that it is built from here on",

@@ -168,15 +168,15 @@ class Source:
         except DamagedRecording:
             return None
 
-    def table(self, channel: ChannelSummary, blocks: Iterable[MessageBlock]) -> tuple[pyarrow.Table, Times]:
-        """Return the messages of a stream as an Arrow table, and the index of the message of each row.
+    def table(self, channel: ChannelSummary, blocks: Iterable[MessageBlock], unit: str) -> tuple[pyarrow.Table, Times]:
+        """Return the messages of a stream, with lengths in ``unit``, as an Arrow table, and the message of each row.
 
         Raises Unavailable without pyarrow.
         """
         from igtl_gateway.api import arrow_tables  # pyarrow is an extra
 
         name = channel.stream or channel.topic
-        definitions, unit = self.file.definitions, self.unit(channel)
+        definitions = self.file.definitions
         maker = arrow_tables.TableMaker(
             channel.kind, channel.entry_type, name, definitions, self.decoder, unit, self.acceptance
         )
@@ -190,8 +190,12 @@ class Source:
             return arrow_tables.joined(found), np.concatenate(rows)
 
     def unit(self, channel: ChannelSummary) -> str:
-        """Return the unit of lengths in the messages of a stream."""
+        """Return the unit of lengths in the messages of a stream, but of the links in ``units_of_links``."""
         return self._units.of(channel.kind, channel.stream, channel.entry_type)
+
+    def units_of_links(self, channel: ChannelSummary) -> Mapping[int, str]:
+        """Return the links whose messages of a stream have a unit of their own, with that unit."""
+        return self._units.of_links(channel.kind, channel.stream, channel.entry_type)
 
     @cached_property
     def _units(self) -> StreamUnits:

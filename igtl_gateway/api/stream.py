@@ -84,7 +84,6 @@ class Stream:
         type: OpenIGTLink or ROS type.
         direction: ``"igtl_in"`` or ``"ros_in"`` for messages that the gateway received, ``"igtl_out"`` or ``"ros_out"``
             for messages that it sent.
-        unit: unit of lengths in its messages.
     """
 
     def __init__(
@@ -95,7 +94,6 @@ class Stream:
         self.name = channel.stream or channel.topic
         self.type = channel.entry_type
         self.direction = channel.kind.value
-        self.unit = source.unit(channel)
 
     def __repr__(self) -> str:
         return f"<Stream {self.key!r}: {self.count:,} × {self.type}, {self.direction}>"
@@ -110,6 +108,21 @@ class Stream:
 
     def __len__(self) -> int:
         return self.count
+
+    @cached_property
+    def unit(self) -> str:
+        """Unit of lengths in its messages.  Raises ConfigError if they went to peers, or came from them, in several."""
+        common, own = self._source.unit(self._channel), self._source.units_of_links(self._channel)
+        if not own or not self.count:
+            return common
+        found = {link: own.get(link, common) for link in np.unique(self.links).tolist()}
+        if len(set(found.values())) > 1:
+            units = ", ".join(f"{unit} with link {link}" for link, unit in found.items())
+            raise ConfigError(
+                f"{self.key}: found messages in {units}, expected those of one unit, as in "
+                f"recording['{self.key}@{min(found)}']"
+            )
+        return found.popitem()[1]
 
     def __iter__(self) -> Iterator[RecordedMessage]:
         return self.messages()
@@ -378,7 +391,7 @@ class Stream:
         Raises:
             Unavailable: pyarrow is not installed; the extra ``arrow`` installs it.
         """
-        return self._source.table(self._channel, self.blocks())
+        return self._source.table(self._channel, self.blocks(), self.unit)
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return all messages as a data frame: the table of :meth:`to_arrow`, with the gateway time as index.

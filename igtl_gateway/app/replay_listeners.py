@@ -4,26 +4,31 @@ A recording has what its peers read.  Another program may lose the stream at a t
 does.  So each message is adapted to the program that listens, or left out, by the profile of that program.  Without a
 profile it is recognised from its messages, and until then gets what every program can skip, see
 ``docs/reference/messages.md``: no type beyond the factory of the C++ library, no query, no reply to one, header
-version 1, and in that no message without content.
+version 1, and in that no message without content.  3D Slicer gets what its profile has in place of a type that it
+does not read.
 """
 
 from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 from igtl_gateway.base.buffers import Buffer, join
-from igtl_gateway.base.errors import WireError
+from igtl_gateway.base.errors import ConversionError, WireError
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.profiles import AUTO, DEFAULT, UNRECOGNISED, PeerProfile
+from igtl_gateway.convert.substitutes import Shown
 from igtl_gateway.gateway.acceptance import DEFAULT_ACCEPTANCE, Acceptance
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.metadata import FULL_NAME, restore_metadata
+from igtl_gateway.gateway.naming import MAX_NAMES, ShownNames
 from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.stamps import with_crc_of
-from igtl_gateway.wire import HEADER_SIZE, Message, Raw, decode, encode
+from igtl_gateway.wire import HEADER_SIZE, Item, Message, Raw, decode, encode
+from igtl_gateway.wire.message import sorted_items
 from igtl_gateway.wire.query import split_query
 from igtl_gateway.wire.registry import BODIES
 
@@ -62,9 +67,12 @@ class Listeners:
     _heard: set[int] = field(default_factory=set)
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _peers: Peers = field(init=False)
+    _names: ShownNames = field(init=False)
+    _sent: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self._peers = Peers(Config(profile=self.profile, cautious=True))
+        self._names = ShownNames(self._sent.__contains__)
 
     def on_link(self, link: int, up: bool, note: Note) -> None:
         """A listener connected or disconnected."""
@@ -107,11 +115,11 @@ class Listeners:
         if self.exact or entry.kind not in _IGTL or not links:
             return entry
         with self._lock:
-            forms, refused = self._forms(entry, links)
+            forms, refused, instead = self._forms(entry, links)
             if not forms:
                 self._count(self.left_out, entry, refused)
                 return None
-            if len(forms) > 1 or forms[0][0] is entry.payload:
+            if instead or len(forms) > 1 or forms[0][0] is entry.payload:
                 return entry
             self._count(self.adapted, entry, forms[0][1])
             return replace(entry, payload=forms[0][0])
@@ -121,22 +129,36 @@ class Listeners:
         if self.exact:
             return [(entry.payload, list(links))]
         with self._lock:
-            forms, refused = self._forms(entry, links)
+            forms, refused, instead = self._forms(entry, links)
             self._count(self.left_out, entry, refused)
             for payload, members in forms:
-                if payload is not entry.payload:
+                if payload is not entry.payload and not instead.intersection(members):
                     self._count(self.adapted, entry, members)
+            self._count(self.adapted, entry, instead)
         return forms
 
-    def _forms(self, entry: Entry, links: Sequence[int]) -> tuple[list[Form], list[int]]:
-        """Return the forms of a message for the links, and the links that cannot read it; the caller has the lock."""
+    def _forms(self, entry: Entry, links: Sequence[int]) -> tuple[list[Form], list[int], set[int]]:
+        """Return the forms of a message for the links, those that cannot read it, and those that get others instead.
+
+        The caller has the lock.
+        """
         forms: dict[tuple[str, int], Form] = {}
+        instead: dict[tuple[str, int], list[Form]] = {}
         refused: list[int] = []
+        others: set[int] = set()
         for link in links:
             peer = self._peers.get(link)
             profile = self._profile_for(peer)
             if peer and not _may_send(peer, profile, entry.type):
-                refused.append(link)
+                group = (profile.name, peer.version)
+                if group not in instead:
+                    instead[group] = self._instead(entry, peer)
+                for form in instead[group]:
+                    form[1].append(link)
+                if instead[group]:
+                    others.add(link)
+                else:
+                    refused.append(link)
                 continue
             version = _version_for(peer, profile, entry)
             key = (profile.name if profile.adapt else "", version)
@@ -144,7 +166,36 @@ class Listeners:
                 forms[key] = _adapted(entry, profile, version, self.acceptance), []
             waits = _lacks_content(forms[key][0]) and not profile.takes_without_content(entry.type, version)
             (refused if waits and profile is not DEFAULT else forms[key][1]).append(link)
-        return [form for form in forms.values() if form[1]], refused
+        if len(self._sent) < MAX_NAMES:
+            self._sent.add(entry.channel)
+        found = [form for form in forms.values() if form[1]]
+        return found + [form for made in instead.values() for form in made], refused, others
+
+    def _instead(self, entry: Entry, peer: Peer) -> list[Form]:
+        """Return what a listener gets in place of a message that it does not read; nothing if there is nothing."""
+        row = peer.instead_of(entry.type)
+        if row is None or row.show is None:
+            return []
+        try:
+            message = self.acceptance.message(join(entry.payload))
+            shown = row.instead(restore_metadata(message).device_name, message.content)
+            return [form for one in shown for form in self._one_instead(entry, message, one, peer)]
+        except (ConversionError, WireError):
+            return []
+
+    def _one_instead(self, entry: Entry, message: Message, shown: Shown, peer: Peer) -> Iterator[Form]:
+        device, full_name = self._names.of(shown.igtl_type, shown.name, entry.channel)
+        items = {item.key: item for item in message.metadata if item.key != FULL_NAME}
+        if device != full_name:
+            items[FULL_NAME] = Item.of(FULL_NAME, full_name)
+        version = _version_for(peer, peer.profile, entry)
+        metadata = sorted_items(items.values()) if version > 1 else ()
+        parts = encode(Message(shown.igtl_type, device, shown.content, message.ticks, version, 0, metadata))
+        one = replace(entry, channel=f"{shown.igtl_type}/{device}", type=shown.igtl_type, payload=tuple(parts))
+        if peer.may_send(one.type):
+            yield _adapted(one, peer.profile, version, self.acceptance), []
+        else:
+            yield from self._instead(one, peer)
 
     def _profile_for(self, peer: Peer | None) -> PeerProfile:
         if peer is None or (self.relay and peer.profile is UNRECOGNISED):

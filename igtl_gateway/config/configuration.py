@@ -124,6 +124,10 @@ LIVE: Mapping[str, bool | int | float] = {
 #: 1: each frame on /tf has one sender, what shares a name is noted, full names and frames of known programs are read;
 #: tracking data of frames of the tf tree and of single poses has the poses of its stamp.
 NAMING = 1
+#: The rules by which messages are fitted to what a peer reads; older recordings do not state them, which is 0.
+#: 1: 3D Slicer gets no type that it does not read, but what shows the same, and CRTK arms in millimetres; until a peer
+#: has sent its first message, it gets only what every known program reads.
+FITTING = 1
 #: Former names of the policies, in the configurations of old recordings.
 _STAMP_ALIASES = {"now": RECEIVE}
 #: Of a field that a session records, and a user cannot set.
@@ -210,7 +214,8 @@ class Config:
     recordings, too: there, peers are treated as they were then, nothing is forgotten, and arms need not follow.
 
     ``naming`` is the version of the rules by which streams get their topics and frames: ``NAMING``, or 0, as in
-    recordings that are older than it, so that they give the same names.  It is not a setting of the user.
+    recordings that are older than it, so that they give the same names.  ``fitting`` is the version of the rules by
+    which messages are fitted to what a peer reads, likewise.  They are not settings of the user.
     """
 
     base_frame: str = "igtl"
@@ -238,6 +243,7 @@ class Config:
     latched_mib: int | None = None
     max_behind_s: float | None = None
     naming: int = dataclasses.field(default=NAMING, metadata=_RECORDED)
+    fitting: int = dataclasses.field(default=FITTING, metadata=_RECORDED)
     to_igtl: tuple[ToIgtlRow, ...] = ()
     to_ros: tuple[ToRosRow, ...] = ()
     tf_out: tuple[TfOutRow, ...] = ()
@@ -383,7 +389,7 @@ class Config:
     def as_live_as(self, recorded: Config) -> Config:
         """Return the configuration with the settings in ``LIVE`` of a recording, where it does not set them."""
         as_live = self._with_live({name: getattr(recorded, name) for name in LIVE})
-        return dataclasses.replace(as_live, naming=recorded.naming)
+        return dataclasses.replace(as_live, naming=recorded.naming, fitting=recorded.fitting)
 
     def watched(self) -> Config:
         """Return the configuration of a live session: the settings in ``LIVE`` have their defaults if they are None."""
@@ -408,7 +414,7 @@ class Config:
         Settings that older programs do not know are left out if they are not set: these can then read the recording.
         """
         values = dataclasses.asdict(self)
-        for name in ("max_age_s", "kinds", "allow_in", "allow_out", "mark_from", "naming", "crtk"):
+        for name in ("max_age_s", "kinds", "allow_in", "allow_out", "mark_from", "naming", "fitting", "crtk"):
             if not values[name]:
                 del values[name]
         for name in ("cautious", "keep_mib", "latched_mib", "max_behind_s"):
@@ -439,7 +445,7 @@ class Config:
 
         Raises ConfigError with the path of the setting.
         """
-        settings = {"naming": 0, **values}
+        settings = {"naming": 0, "fitting": 0, **values}
         to_igtl = _rows("to_igtl", settings.pop("to_igtl", ()), ToIgtlRow)
         to_ros = _rows("to_ros", settings.pop("to_ros", ()), ToRosRow)
         tf_out = _rows("tf_out", settings.pop("tf_out", ()), TfOutRow)
@@ -451,7 +457,7 @@ class Config:
     @classmethod
     def of_values(cls, values: Mapping[str, Any]) -> Config:
         """Return the configuration of a new session.  Raises ConfigError as ``from_dict``."""
-        return cls.from_dict({**values, "naming": NAMING})
+        return cls.from_dict({**values, "naming": NAMING, "fitting": FITTING})
 
     @classmethod
     def from_toml(cls, path: Path) -> Config:

@@ -17,10 +17,24 @@ import numpy.typing as npt
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.geometry import flip_lps_ras
 from igtl_gateway.convert.plus_signs import frame_of_picture, is_any_plus, is_recent_plus
+from igtl_gateway.convert.substitutes import FOR_SLICER, SLICER_READS, Substitute, by_type
 from igtl_gateway.wire import Message, Raw
 from igtl_gateway.wire.fields import decode_text
 from igtl_gateway.wire.image import RAS, Image
-from igtl_gateway.wire.polydata import CELL, F4, NORMAL, RGBA, SCALAR, TCOORDS, TENSOR, VECTOR, Attribute, PolyData
+from igtl_gateway.wire.polydata import (
+    CELL,
+    F4,
+    NO_CELLS,
+    NORMAL,
+    RGBA,
+    SCALAR,
+    TCOORDS,
+    TENSOR,
+    VECTOR,
+    Attribute,
+    Cells,
+    PolyData,
+)
 from igtl_gateway.wire.query import split_query
 from igtl_gateway.wire.registry import BODIES
 from igtl_gateway.wire.text import Status
@@ -142,6 +156,27 @@ def _padded(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return data
 
 
+def _surface_for_slicer(content: PolyData) -> Adapted:
+    """Return attributes as the C++ reader takes them (§6.15), and each vertex as a line from its point to itself.
+
+    The connector takes one point of each vertex cell, and writes beyond the end of an array from the second cell on.
+    """
+    content, warning = _nine_components(content)
+    if not content.vertices.count:
+        return content, warning
+    cells = content.vertices
+    points = (
+        np.delete(cells.data, cells.starts("POLYDATA vertices")) if cells.table is None else cells.table.reshape(-1)
+    )
+    ends = Cells.of(np.stack([points, points], axis=1))
+    lines = Cells(ends.count + content.lines.count, np.concatenate([ends.data, content.lines.data]))
+    if cells.count != len(points) and any(attribute.type & CELL for attribute in content.attributes):
+        kept = tuple(attribute for attribute in content.attributes if not attribute.type & CELL)
+        warning = warning or "attributes of cells are left out: the vertices of the surface are cells of several points"
+        content = replace(content, attributes=kept)
+    return replace(content, vertices=NO_CELLS, lines=lines), warning
+
+
 def _no_frame(_device: str) -> str:
     return ""
 
@@ -166,6 +201,10 @@ class PeerProfile:
         expects: class of a content → function that returns the metadata which the peer expects with it.
         shows: returns whether only such a peer can send a message; None if no message shows that.
         frame_of_picture: device name of a picture → the frame that it names; "" if it names none.
+        instead: type → what the peer gets in place of it, if it does not read it; ``*``: of all other types.
+        greeting: whether its first message may be a STATUS without a device, whose code it never sets.
+        stamped: whether messages in header version 2 have a stamp in their metadata also if ROS has none.
+        arm_unit: length unit of the devices of CRTK arms, in both directions; "": that of their row.
     """
 
     name: str
@@ -183,6 +222,10 @@ class PeerProfile:
     expects: Mapping[type, Expected] = field(default_factory=dict)
     shows: Callable[[Message], bool] | None = None
     frame_of_picture: Callable[[str], str] = _no_frame
+    instead: Mapping[str, Substitute] = field(default_factory=dict)
+    greeting: bool = False
+    stamped: bool = False
+    arm_unit: str = ""
 
     def may_send(self, igtl_type: str) -> bool:
         """Return whether messages of this type may be sent to the peer."""
@@ -207,11 +250,14 @@ def _metadata(message: Message) -> dict[str, str]:
     return {item.key: item.text for item in message.metadata}
 
 
+def is_nameless_status(message: Message) -> bool:
+    """Return whether a message is a STATUS without a device."""
+    return not message.device_name and isinstance(message.content, Status)
+
+
 def is_hello(message: Message) -> bool:
     """Return whether a message is the greeting of 3D Slicer: a STATUS without a device, whose code it never sets."""
-    if not message.metadata or message.device_name or not isinstance(message.content, Status):
-        return False
-    return _metadata(message).get("dummy") == "dummy"
+    return bool(message.metadata) and is_nameless_status(message) and _metadata(message).get("dummy") == "dummy"
 
 
 def _is_slicer(message: Message) -> bool:
@@ -270,12 +316,21 @@ PROFILES: tuple[PeerProfile, ...] = (
             ("ignores an empty body: its query then expires", "§10.1, reproduced"),
             ("ignores the LPS flag; reads 32-bit integer pixels as C long", "§6.5, §10.1"),
             ("reads nine components for most POLYDATA attributes", "§6.15, reproduced"),
+            ("logs an error for each message of a type without a device", "OpenIGTLinkIO d7f6aef, reproduced"),
+            ("reads one point of a vertex cell, and corrupts memory at a second cell", "OpenIGTLinkIO d7f6aef"),
+            ("takes every length as millimetres", "§10.2"),
+            ("shows no stamp of the header, and all metadata", "SlicerOpenIGTLink#129; d090ca4"),
         ),
+        reads=SLICER_READS,
         queries=frozenset(),
         replies=frozenset({"RTS_TDATA", "RTS_COMMAND"}),
         takes_empty=True,
-        adapt={Image: _readable_pixels, PolyData: _nine_components},
+        adapt={Image: _readable_pixels, PolyData: _surface_for_slicer},
         shows=_is_slicer,
+        instead=by_type(FOR_SLICER),
+        greeting=True,
+        stamped=True,
+        arm_unit="mm",
     ),
     PeerProfile(
         "plus",
@@ -332,6 +387,24 @@ PROFILES: tuple[PeerProfile, ...] = (
 )
 
 BY_NAME = {profile.name: profile for profile in PROFILES}
+
+#: Profiles as they were in sessions without the rules ``fitting``: 3D Slicer got all types, and arms in their unit.
+_BEFORE = {
+    "slicer": replace(
+        BY_NAME["slicer"],
+        reads=None,
+        adapt={Image: _readable_pixels, PolyData: _nine_components},
+        instead={},
+        stamped=False,
+        arm_unit="",
+    )
+}
+
+
+def by_rules(profile: PeerProfile, fitting: int) -> PeerProfile:
+    """Return a profile by the rules of a session, see ``Config.fitting``."""
+    return profile if fitting else _BEFORE.get(profile.name, profile)
+
 
 #: Setting for the detection of the profile from the messages of the peer.
 AUTO = "auto"

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -168,7 +168,9 @@ class CommandGuard:
         name = row_of(device)
         return name is not None and name.motion is not None and arms_row(self._arms, device) is not None
 
-    def check(self, entry: Entry, content: Body, device: str, stamp_ns: int, frame_id: str, guard: Guard) -> Checked:
+    def check(
+        self, entry: Entry, content: Body, device: str, stamp_ns: int, frame_id: str, guard: Guard, unit: str = ""
+    ) -> Checked:
         """Check a command.
 
         Args:
@@ -178,6 +180,7 @@ class CommandGuard:
             stamp_ns: its own stamp, UTC ns; 0: none.
             frame_id: the frame that its metadata name; "" if none.
             guard: the guard of the session, for the time of the host's clock, and for verdicts.
+            unit: length unit of its sender; "": that of the arm.
 
         Raises:
             Refused: with code and text.
@@ -191,6 +194,7 @@ class CommandGuard:
         kind = _CONTENT[name.igtl_type]
         if not isinstance(content, kind):
             raise Refused("command_type", f"{device}: found {type(content).__name__}, expected {name.igtl_type}")
+        arms = replace(arms, igtl_unit=unit or arms.igtl_unit)
         command = RobotCommand(device, name, arms, namespaces(device)[0], entry.stamp_ns, stamp_ns, frame_id)
         point = SetPoint(entry.stamp_ns, max(stamp_ns, 0))
         published = guard.verdicts.next(device) if guard.verdicts else None

@@ -31,7 +31,7 @@ from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.log.marks import MarkNote, OpenPhases
 from igtl_gateway.gateway.log.note import Level, Note
-from igtl_gateway.gateway.naming import SharedNames
+from igtl_gateway.gateway.naming import SharedNames, ShownNames
 from igtl_gateway.gateway.orders import UNWRITTEN
 from igtl_gateway.gateway.outcome import Bookkeeper, Finding, Item, Outcome, Tally
 from igtl_gateway.gateway.peers import Peers
@@ -106,7 +106,8 @@ class Gateway:
             room=room,
             latched_room=latched_room,
         )
-        delivery = Delivery(denied_out, tf.tree, by_stamp=bool(config.naming))
+        names = ShownNames(streams.is_sent)
+        delivery = Delivery(denied_out, tf.tree, names, by_stamp=bool(config.naming))
         tracking = Tracking(peers, latest)
         self._frames = frames = TfReceiver(tf, guard, peers, delivery, tracking)
         shared = SharedNames(peers) if config.naming else None

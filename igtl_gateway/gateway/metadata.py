@@ -22,6 +22,7 @@ FULL_NAME = "DeviceName"
 #: Name of the node in 3D Slicer, which cuts the device name to 20 bytes; see ``openigtlink-reference`` §10.2.
 NODE_NAME = "MRMLNodeName"
 #: Stamp of the ROS header, integer UTC nanoseconds: also forwarded by programs that leave the header's stamp at 0.
+#: To programs that show no other stamp, that of the message if ROS has none.
 STAMP = "ros.stamp"
 FRAME_ID = "ros.frame_id"
 CHILD_FRAME_ID = "ros.child_frame_id"
@@ -41,7 +42,7 @@ class RestoredMetadata:
         stamp_ns: UTC ns; 0 if there is none.
         frame_id, child_frame_id: "" if there are none.
         items: the items of the user.
-        is_of_gateway: whether a gateway has sent it, which states a name that it has cut.
+        states_name: whether its sender states the full name where it has cut it: a gateway, or 3D Slicer.
     """
 
     device_name: str
@@ -49,7 +50,7 @@ class RestoredMetadata:
     frame_id: str = ""
     child_frame_id: str = ""
     items: tuple[MetadataItem, ...] = ()
-    is_of_gateway: bool = False
+    states_name: bool = False
 
 
 def restore_metadata(message: Message, naming: int = NAMING) -> RestoredMetadata:
@@ -69,13 +70,14 @@ def restore_metadata(message: Message, naming: int = NAMING) -> RestoredMetadata
             ours[item.key] = item.text
         else:
             items.append(_decoded_value(item))
+    in_slicer = _name_in_slicer(message) if naming else ""
     return RestoredMetadata(
-        ours.get(FULL_NAME) or (_name_in_slicer(message) if naming else "") or name,
+        ours.get(FULL_NAME) or in_slicer or name,
         int(ours.get(STAMP, "0")),
         ours.get(FRAME_ID, ""),
         ours.get(CHILD_FRAME_ID, ""),
         tuple(items),
-        bool(ours),
+        bool(ours or in_slicer),
     )
 
 

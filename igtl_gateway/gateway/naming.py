@@ -9,11 +9,11 @@ two peers with one device, two parents of one frame.  All of this depends on the
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.frames import frame_id
-from igtl_gateway.convert.names import MAX_DEVICE_NAME, frames_of_name, name_hash
+from igtl_gateway.convert.names import MAX_DEVICE_NAME, frames_of_name, name_hash, short_device_name
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.outcome import Finding
 from igtl_gateway.gateway.peers import Peers
@@ -137,6 +137,33 @@ class _Senders:
             self._known[name] = [sender for sender in self._known[name] if sender[0] != link]
             if not self._known[name]:
                 del self._known[name]
+
+
+class ShownNames:
+    """The device names of what peers get in place of messages that they do not read.
+
+    Each has its own: one that a stream to peers has is not used a second time.
+
+    Args:
+        is_taken: returns whether a stream to peers, TYPE/device, is another one.
+    """
+
+    def __init__(self, is_taken: Callable[[str], bool]) -> None:
+        self._is_taken = is_taken
+        self._owners: dict[str, str] = {}  # stream → the one that it is shown in place of
+
+    def of(self, igtl_type: str, name: str, source: str) -> tuple[str, str]:
+        """Return device and full name for ``name`` of what is sent in place of a message of the stream ``source``."""
+        full_name = name
+        while True:
+            device = short_device_name(full_name)
+            stream = f"{igtl_type}/{device}"
+            if self._owners.get(stream, source) == source and not self._is_taken(stream):
+                break
+            full_name = f"{full_name}_{name_hash(source + full_name)}"
+        if len(self._owners) < MAX_NAMES:
+            self._owners[stream] = source
+        return device, full_name
 
 
 def cut_name(stream: str, device: str, *, known: bool) -> list[Finding]:

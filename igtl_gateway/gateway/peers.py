@@ -18,8 +18,11 @@ from igtl_gateway.convert.profiles import (
     PLUS_1,
     UNRECOGNISED,
     PeerProfile,
+    by_rules,
+    is_nameless_status,
     profile_shown_by,
 )
+from igtl_gateway.convert.substitutes import SLICER_READS, Substitute, row_for
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.capability import Capability
@@ -72,6 +75,9 @@ class Peer:
         knows: types that the peer has shown that it knows, beside those of its profile.
         shown: highest received header version.
         recent: whether all signs of a profile count, and messages have the metadata that a profile expects.
+        fitting: the rules by which messages are fitted to it, see ``Config.fitting``.
+        awaited: whether it gets only what every known program reads until its first message may show what it is.
+        missed: whether it did not get a message because of that.
         held_until_ns: gateway time until which latched messages are held back at most; 0: they were sent.
         last_sent_ns: gateway time of the last message to the peer.
         sent: number of messages to the peer.
@@ -89,6 +95,9 @@ class Peer:
     knows: set[str] = field(default_factory=set)
     shown: int = 0
     recent: bool = False
+    fitting: int = 0
+    awaited: bool = False
+    missed: bool = False
     held_until_ns: int = 0
     last_sent_ns: int = 0
     sent: int = 0
@@ -103,13 +112,31 @@ class Peer:
     @property
     def gets(self) -> tuple[object, ...]:
         """What decides which messages the peer gets, and in which form."""
-        return self.profile, self.chosen, self.version, self.shown > 1, len(self.knows)
+        known = self.missed and not self.may_be_slicer
+        return self.profile, self.chosen, self.version, self.shown > 1, len(self.knows), known
+
+    @property
+    def may_be_slicer(self) -> bool:
+        """Whether its first message, which would show 3D Slicer, may be on its way."""
+        return self.awaited and self.held_until_ns > 0 and not self.shown and not self.chosen
+
+    def must_wait(self, igtl_type: str) -> bool:
+        """Return whether it does not get a type yet that it may not read."""
+        return self.may_be_slicer and igtl_type not in SLICER_READS and split_query(igtl_type) is None
 
     def may_send(self, igtl_type: str) -> bool:
         """Return whether messages of this type may be sent to the peer."""
         if self.profile.may_send(igtl_type):
             return True
         return not self.chosen and (igtl_type in self.knows or (self.profile is UNRECOGNISED and self.shown > 1))
+
+    def greets_with(self, message: Message) -> bool:
+        """Return whether the first message of the peer is its greeting: in header version 1 it has no sign."""
+        return bool(self.fitting and self.profile.greeting) and is_nameless_status(message)
+
+    def instead_of(self, igtl_type: str) -> Substitute | None:
+        """Return the row of what the peer gets in place of a type that it does not read; None if it has no table."""
+        return row_for(self.profile.instead, igtl_type)
 
     def expects(self, content: Body) -> tuple[tuple[str, str], ...]:
         """Return the metadata that the peer expects with a content; none in header version 1, which has no metadata."""
@@ -126,7 +153,7 @@ class Peer:
 
     def _recognise(self, message: Message) -> None:
         if profile := profile_shown_by(message, all_signs=self.recent):
-            self.profile, self.chosen, self.frames = profile, profile is not PLUS_1, None
+            self.profile, self.chosen, self.frames = by_rules(profile, self.fitting), profile is not PLUS_1, None
         elif self.frames:
             news = [name for name in _known_types(message) if not self.profile.may_send(name)]
             self.knows.update(news[: MAX_KNOWN - len(self.knows)])
@@ -237,9 +264,10 @@ class Peers:
         name = next(rows, self._config.peer_profile)
         # who bridges CRTK arms has peers that read their types
         unknown = UNRECOGNISED if self._config.cautious and not self._config.all_arms else DEFAULT
-        profile = BY_NAME.get(name, unknown)
+        profile = by_rules(BY_NAME.get(name, unknown), self._config.fitting)
         peer = Peer(link, address, role, profile, name != AUTO, place or "ADDRESS", last_sent_ns=now_ns)
-        peer.recent = self._config.knows_peers
+        peer.recent, peer.fitting = self._config.knows_peers, self._config.fitting
+        peer.awaited = bool(self._config.cautious and self._config.fitting)
         if name == AUTO and peer.recent:
             peer.frames = TrackedFrames(streams=role == "client")
         self._peers[link] = peer

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.config.configuration import IN_TOPIC, Config, ToIgtlRow, ToRosRow, device_of_topic
+from igtl_gateway.convert.arms import arms_row
 from igtl_gateway.convert.igtl_msgs import MetadataItem
 from igtl_gateway.convert.names import frames_of_name, name_hash, short_device_name, topic_token
 from igtl_gateway.convert.table import ConversionToIgtl, ConversionToRos, Role, row_to_igtl, rows_to_ros
@@ -76,6 +77,11 @@ class ToRosStream:
     frame_id: str
     child_frame_id: str
     lengths: LengthUnits
+
+
+def is_of_arm(config: Config, row: ToRosRow, device: str) -> bool:
+    """Return whether a device is one of a CRTK arm, with the unit of its arm and not that of a row of the user."""
+    return bool(config.all_arms) and row not in config.to_ros and arms_row(config.all_arms, device) is not None
 
 
 class Streams:
@@ -289,6 +295,10 @@ class Streams:
             full_name = f"{full_name}_{name_hash(topic)}"
             device = self.device(full_name)
         return full_name, device
+
+    def is_sent(self, stream: str) -> bool:
+        """Return whether a stream to peers, TYPE/device, is that of a topic or of frames of the tf tree."""
+        return stream in self._sources
 
     def device(self, full_name: str) -> str:
         """Return the device name of at most 20 bytes for a full name."""

@@ -245,7 +245,7 @@ class LeafDecoder:
 
     def _mm(self, entry: Entry) -> float:
         """Return how many millimetres the unit of lengths in a message is."""
-        return scale(self._units.of(entry.kind, entry.channel, entry.type), "mm")
+        return scale(self._units.of(entry.kind, entry.channel, entry.type, entry.links), "mm")
 
     # -- OpenIGTLink --------------------------------------------------------------------------------------------
 

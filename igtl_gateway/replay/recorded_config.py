@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
 from igtl_gateway.base.errors import ConfigError, DamagedRecording, UnsupportedRecording
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.acceptance import Acceptance
-from igtl_gateway.gateway.log.entry import Kind
-from igtl_gateway.gateway.stream_units import StreamUnits
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.stream_units import StreamUnits, arm_units
 from igtl_gateway.record.sessionfile import facts
 
 
@@ -32,6 +32,7 @@ class RecordedSession(Protocol):
     def session(self) -> Mapping[str, str]: ...
     @property
     def channels(self) -> Sequence[RecordedStream]: ...
+    def entries_of_kinds(self, kinds: Collection[Kind]) -> Iterator[Entry]: ...
 
 
 def config_to_run(session: Mapping[str, str], path: Path | None = None) -> Config:
@@ -69,4 +70,6 @@ def _recorded(file: RecordedSession) -> Config:
 
 def units_of(config: Config, file: RecordedSession) -> StreamUnits:
     """Return the units of the streams of a recording, by another configuration."""
-    return StreamUnits(config, ((each.kind, each.stream, each.entry_type) for each in file.channels if each.stream))
+    streams = ((each.kind, each.stream, each.entry_type) for each in file.channels if each.stream)
+    own = config.all_arms and config.fitting  # only then do notes state the unit of a peer
+    return StreamUnits(config, streams, arm_units(file.entries_of_kinds({Kind.NOTE})) if own else {})

@@ -13,7 +13,7 @@ from igtl_gateway.base import addons
 from igtl_gateway.base.addons import ADDON_SETTINGS, part_of
 from igtl_gateway.base.errors import ConfigError, MissingAddon
 from igtl_gateway.base.realtime import PRIORITIES
-from igtl_gateway.config.configuration import LIVE, NAMING, Config
+from igtl_gateway.config.configuration import FITTING, LIVE, NAMING, Config
 from igtl_gateway.config.setting import GATEWAY, HOST, NONE, RECORD, ROWS, Setting
 from igtl_gateway.config.settings import SETTINGS, VIDEO_CODECS, all_settings, check_values, of_table, parameters
 from igtl_gateway.edges.tcp import PeerLimits
@@ -26,7 +26,7 @@ _ROWS = {row.name: row for row in all_settings()}
 
 def test_the_table_has_the_fields_of_the_configuration_with_their_defaults() -> None:
     fields = {field.name: field.default for field in dataclasses.fields(Config)}
-    assert fields.pop("naming") == NAMING  # of the program, and no setting
+    assert (fields.pop("naming"), fields.pop("fitting")) == (NAMING, FITTING)  # of the program, and no settings
     assert {*of_table(GATEWAY), *of_table(ROWS)} == set(fields)
     assert {fields.pop(name) for name in LIVE} == {None}  # of sessions that are not live
     assert {name: _ROWS[name].default for name in LIVE} == LIVE

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -133,3 +135,26 @@ def test_what_may_be_sent() -> None:
     assert not SLICER.may_send("GET_IMAGE") and not SLICER.may_send("RTS_POLYDATA")
     assert PLUS.may_send("GET_STATUS") and not PLUS.may_send("UNHEARDOF")
     assert default.may_send("STT_ANYTHING")
+
+
+CLOUD = PolyData(np.arange(9, dtype=">f4").reshape(3, 3), vertices=Cells.of_all(3))
+SINGLE = replace(CLOUD, vertices=Cells.of(np.array([[0], [2]])), lines=Cells.of([[0, 1, 2]]))
+
+
+@pytest.mark.parametrize(
+    "content, lines", [(CLOUD, [[0, 0], [1, 1], [2, 2]]), (SINGLE, [[0, 0], [2, 2], [0, 1, 2]])], ids=["one", "several"]
+)
+def test_slicer_gets_each_vertex_as_a_line(content: PolyData, lines: list[list[int]]) -> None:
+    adapted, warning = SLICER.adapt[PolyData](content)
+    assert not warning and not adapted.vertices.count and adapted.lines.lists() == lines
+    assert SLICER.adapt[PolyData](adapted)[0] is adapted, "it is adapted once"
+    assert PolyData.unpack(memoryview(b"".join(bytes(part) for part in adapted.pack()))) == adapted
+
+
+def test_values_of_vertices_stay_with_their_lines() -> None:
+    colours = Attribute.of(CELL | SCALAR, "c", np.arange(3.0)[:, None])
+    adapted, _ = SLICER.adapt[PolyData](replace(SINGLE, attributes=(colours,)))
+    assert adapted.attributes[0].values[:, 0].tolist() == [0.0, 1.0, 2.0], "vertices are before lines in VTK"
+    several = replace(CLOUD, attributes=(Attribute.of(CELL | SCALAR, "c", np.ones((1, 1))),))
+    adapted, warning = SLICER.adapt[PolyData](several)
+    assert not adapted.attributes and "vertices" in warning

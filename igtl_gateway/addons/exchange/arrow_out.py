@@ -77,22 +77,24 @@ def export_arrow(recording: Recording, out: Path, globs: Sequence[str]) -> Expor
 def _export(recording: Recording, out: Path, globs: Sequence[str], form: _Parquet | _Ipc) -> ExportAccount:
     account, names = ExportAccount(), FileNames(recording.channels)
     decoder = MessageDecoder(lambda ros_type: recording.definitions.get(ros_type, ""))
-    streams: dict[tuple[Kind, str, str], _Stream] = {}
+    streams: dict[tuple[Kind, str, str, str], _Stream] = {}
     units, accepted, waiting = recorded_units(recording), recorded_acceptance(recording), 0
     with new_folder(out, account) as folder, ExitStack() as stack:
         for entry in chosen_entries(recording, (*IGTL_KINDS, *ROS_KINDS), globs, account):
             row = account.row(entry)
-            key = (entry.kind, entry.channel, entry.type)
+            unit = units.of(entry.kind, entry.channel, entry.type, entry.links)
+            key = (entry.kind, entry.channel, entry.type, unit)
             stream = streams.get(key)
             if stream is None:
                 if len(streams) >= _MAX_FILES:
                     row.fail(f"more than {_MAX_FILES} streams")
                     continue
-                unit = units.of(entry.kind, entry.channel, entry.type)
                 maker = TableMaker(
                     entry.kind, entry.type, entry.channel, recording.definitions, decoder, unit, accepted
                 )
-                file = _File(folder, f"{names.of(entry)}.{form.suffix}", form)
+                # a column has one unit: what some peers get in another one is a file of its own
+                other = any(known[:3] == key[:3] for known in streams)
+                file = _File(folder, f"{names.of(entry)}{f'.{unit}' * other}.{form.suffix}", form)
                 stack.callback(file.close)
                 stream = streams[key] = _Stream(row, maker, file)
             stream.entries.append(entry)

@@ -184,7 +184,7 @@ class _RowReader:
         if entry.kind in (Kind.IGTL_IN, Kind.IGTL_OUT):
             if entry.type in _NO_TABLES:
                 raise TooLong("pixels, points and cells do not fit in a table; use another format")
-            unit = self._units.of(entry.kind, entry.channel, entry.type)
+            unit = self._units.of(entry.kind, entry.channel, entry.type, entry.links)
             fields = name_igtl_fields(describe_content(self._acceptance.message(entry.data()).content), unit)
         elif not self._definitions.get(entry.type):
             raise TooLong("the session has no definition of its type")

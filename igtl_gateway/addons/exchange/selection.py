@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
 from hashlib import blake2b
 from typing import Protocol
 
@@ -65,6 +65,7 @@ class Recording(Protocol):
     @property
     def skipped(self) -> Sequence[Skipped]: ...
     def entries(self) -> Iterator[Entry]: ...
+    def entries_of_kinds(self, kinds: Collection[Kind]) -> Iterator[Entry]: ...
 
 
 def chosen_entries(

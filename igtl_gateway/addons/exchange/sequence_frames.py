@@ -203,7 +203,7 @@ class SequenceFrames:
                 continue
             try:
                 message = self._acceptance.message(entry.data())
-                unit = self._units.of(entry.kind, entry.channel, entry.type)
+                unit = self._units.of(entry.kind, entry.channel, entry.type, entry.links)
             except Exception as error:  # decoding raises many types of errors; only this message is left out
                 row.fail(failure_text(error))
                 continue
@@ -271,7 +271,7 @@ class SequenceFrames:
                 continue
             try:
                 content = self._acceptance.message(entry.data()).content
-                unit = self._units.of(entry.kind, entry.channel, entry.type)
+                unit = self._units.of(entry.kind, entry.channel, entry.type, entry.links)
             except Exception:  # counted by the survey
                 continue
             if isinstance(content, Image) and not self._mismatch(image := in_millimetres(content, unit)):

@@ -131,7 +131,7 @@ def _reader(
     units, accepted = recorded_units(recording), recorded_acceptance(recording)
 
     def read(entry: Entry) -> tuple[ExportSurface, WrittenFile]:
-        surface = export_surface_of(entry, units.of(entry.kind, entry.channel, entry.type), accepted)
+        surface = export_surface_of(entry, units.of(entry.kind, entry.channel, entry.type, entry.links), accepted)
         return surface, write(surface.content)
 
     return read

@@ -61,7 +61,7 @@ def export_nrrd(recording: Recording, out: Path, globs: Sequence[str]) -> Export
     units, accepted = recorded_units(recording), recorded_acceptance(recording)
 
     def read(entry: Entry) -> Image:
-        return export_picture_of(entry, units.of(entry.kind, entry.channel, entry.type), accepted)
+        return export_picture_of(entry, units.of(entry.kind, entry.channel, entry.type, entry.links), accepted)
 
     account = export_one_file_each(
         recording, out, globs, PICTURES, "nrrd", read, lambda content: (nrrd_header(content), content.pixels), count,

@@ -153,7 +153,10 @@ class Links:
         return [item for peer in due for item in self._release(entry, peer)]
 
     def _release(self, entry: Entry, peer: Peer) -> list[Item]:
+        gets = peer.gets
         peer.held_until_ns = 0
+        if peer.gets != gets:
+            self._peers.changed(peer.link)
         return self._send_latched(entry, peer) if self._activity.active else []
 
     def ping(self, entry: Entry) -> list[Item]:

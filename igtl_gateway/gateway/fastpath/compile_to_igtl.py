@@ -37,7 +37,7 @@ from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer
 from igtl_gateway.gateway.to_igtl.origin import IgtlOrigin
-from igtl_gateway.gateway.to_igtl.sender import send
+from igtl_gateway.gateway.to_igtl.sender import OutboundMessage, gets_stamp, send
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.header import HEADER_SIZE
 from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD
@@ -93,7 +93,7 @@ def compile_to_igtl(
     fill: FillTemplate | None = express.pose_to_igtl if size else express.bulk_to_igtl
     if not (size or form is not None) or fill is None or bytes(cdr[:2]) != _LITTLE_ENDIAN:
         return None
-    if any(out.igtl_type in peer.paced_types or _is_adapted(out.content, peer) for peer in peers):
+    if any(_is_of_its_own(out, peer) for peer in peers):
         return None
     if form == TOOLS and any(peer.tracked for peer in peers):  # one might get them in its own form
         return None
@@ -119,7 +119,7 @@ def compile_to_igtl(
     first, second = (
         send(entry, replace(out, ros_stamp_ns=stamp_ns if out.ros_stamp_ns else 0), told) for stamp_ns in _TWO_STAMPS
     )
-    if first.refused or first.warnings or not first.outputs:
+    if first.findings or not first.outputs:
         return None
     outputs: list[tuple[Output, tuple[Any, ...]]] = []
     for one, other in zip(first.outputs, second.outputs, strict=True):
@@ -154,6 +154,15 @@ def compile_to_igtl(
         watched,
         place_at,
     )
+
+
+def _is_of_its_own(out: OutboundMessage, peer: Peer) -> bool:
+    """Return whether a peer may get other messages of a stream than others, or at another pace."""
+    if out.igtl_type in peer.paced_types or _is_adapted(out.content, peer):
+        return True
+    if gets_stamp(out, peer):  # the stamp is not that of the CDR, which is what is filled in
+        return True
+    return peer.must_wait(out.igtl_type) or (out.in_unit is not None and bool(peer.profile.arm_unit))
 
 
 def _is_adapted(content: Body, peer: Peer) -> bool:

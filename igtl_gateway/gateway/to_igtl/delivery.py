@@ -13,6 +13,7 @@ from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.joining import GAP_NS
 from igtl_gateway.gateway.log.note import Level
+from igtl_gateway.gateway.naming import ShownNames
 from igtl_gateway.gateway.outcome import Finding, Item
 from igtl_gateway.gateway.peers import TRACKING, Peer
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage, send
@@ -24,12 +25,14 @@ class Delivery:
     Args:
         denied: types that are not sent to peers (``deny_out``).
         frames: the tf tree, for tracking data in the frame that a peer requested.
+        names: the names of what is sent in place of other messages.
         by_stamp: whether that frame is the one of the stamp of the message; otherwise it is the latest.
     """
 
-    def __init__(self, denied: Denials, frames: FrameTree, *, by_stamp: bool) -> None:
+    def __init__(self, denied: Denials, frames: FrameTree, names: ShownNames | None = None, *, by_stamp: bool) -> None:
         self._denied = denied
         self._frames = frames
+        self.names = names
         self._by_stamp = by_stamp
 
     def to(
@@ -55,10 +58,9 @@ class Delivery:
                     Finding(Level.WARN, "denied", text, entry.channel, entry.links, subject=out.igtl_type, loss=loss)
                 )
                 continue
-            sent = send(entry, out, peers, asked=asked)
+            sent = send(entry, out, peers, asked=asked, names=self.names)
             items += sent.outputs
-            items += sent.warnings
-            items += sent.refused
+            items += sent.findings
         return items
 
     def deliver_each(

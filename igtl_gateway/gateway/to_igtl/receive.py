@@ -66,7 +66,7 @@ class RosReceiver:
         self._frames = frames
         self._commands = commands
         self._activity = activity
-        self._raw = RawMessages(streams, peers, guard, denied)
+        self._raw = RawMessages(streams, peers, guard, denied, delivery)
 
     def take(self, entry: Entry) -> Outcome:
         """Process a message of any ROS topic."""
@@ -104,7 +104,7 @@ class RosReceiver:
             if special := self._commands.sender_for(stream.conversion.igtl_type):
                 items, origin = special(entry, stream, outgoing), None
             else:
-                out = self._composer.compose(entry, stream, stream.conversion, outgoing)
+                out = self._composer.compose(entry, stream, stream.conversion, outgoing, message)
                 sends = chain([(self._addressed(outgoing), out)], self._tracking.due_after(entry, out))
                 items = self._delivery.deliver_streams(entry, sends, stream.lengths)
                 # the validity of a robot's data is checked on the full path only

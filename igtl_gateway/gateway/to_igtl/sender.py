@@ -1,27 +1,34 @@
 """Encodes one message for many peers: by profile, header version and pace.
 
-Peers that get the same bytes share one entry, so that each form of a message is encoded once.
+Peers that get the same bytes share one entry, so that each form of a message is encoded once.  A peer that does not
+read the type gets what its profile has in place of it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from igtl_gateway.base.errors import ConversionError, WireError
 from igtl_gateway.base.stamp import ns_to_ticks
 from igtl_gateway.base.values import value
 from igtl_gateway.convert.igtl_msgs import MetadataItem
 from igtl_gateway.convert.profiles import UNRECOGNISED, Adapted
+from igtl_gateway.convert.substitutes import Shown, Substitute
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.fates import NOT_FOR
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.metadata import compose_metadata
-from igtl_gateway.gateway.outcome import Finding
+from igtl_gateway.gateway.naming import ShownNames
+from igtl_gateway.gateway.outcome import Finding, conversion_failure
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer
-from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire import Message, Raw, encode
 from igtl_gateway.wire.body import Body
+
+#: Code of the note about the unit of arms for a peer; its data have the ``unit``.
+ARM_UNIT = "arm_unit"
 
 Adapt = Callable[[Any], Adapted]
 
@@ -38,6 +45,7 @@ class OutboundMessage:
         ros_stamp_ns, frame_id, child_frame_id: from the ROS message, for the metadata.
         metadata: metadata of the user.
         is_static: whether the pose is valid at all times.
+        in_unit: returns the content with lengths in another unit, where peers get it in their own; None: they do not.
     """
 
     igtl_type: str
@@ -50,6 +58,7 @@ class OutboundMessage:
     child_frame_id: str = ""
     metadata: tuple[MetadataItem, ...] = ()
     is_static: bool = False
+    in_unit: Callable[[str], Body] | None = None
 
     @property
     def channel(self) -> str:
@@ -65,14 +74,28 @@ class SendResult:
         outputs: the encoded messages.
         warnings: findings about adaptations for some peers.
         refused: findings about the peers that cannot read the type.
+        shown: findings about what peers get in its place.
     """
 
     outputs: list[Output] = field(default_factory=list)
     warnings: list[Finding] = field(default_factory=list)
     refused: list[Finding] = field(default_factory=list)
+    shown: list[Finding] = field(default_factory=list)
+
+    @property
+    def findings(self) -> list[Finding]:
+        """All findings."""
+        return [*self.warnings, *self.refused, *self.shown]
 
 
-def send(entry: Entry, out: OutboundMessage, peers: Iterable[Peer], *, asked: bool = False) -> SendResult:
+def send(
+    entry: Entry,
+    out: OutboundMessage,
+    peers: Iterable[Peer],
+    *,
+    asked: bool = False,
+    names: ShownNames | None = None,
+) -> SendResult:
     """Return one output for each form of the message, header version 1 first.
 
     Args:
@@ -80,18 +103,33 @@ def send(entry: Entry, out: OutboundMessage, peers: Iterable[Peer], *, asked: bo
         out: the message.
         peers: the addressees.
         asked: whether it answers a query, so that the pace of streams does not apply.
+        names: the names of what is sent in place of other messages; None: nothing is.
 
     Raises:
         MalformedBody: a content that cannot be encoded.
     """
     sent = SendResult()
-    forms: dict[tuple[int, str, tuple[tuple[str, str], ...]], tuple[Body, list[int]]] = {}
+    others: list[Peer] = []
+    forms: dict[tuple[int, str, bool, tuple[tuple[str, str], ...]], tuple[Body, list[int]]] = {}
     adapted: dict[Adapt, Body] = {}
+    units: dict[str, Body] = {}
     for peer in peers:
         if not peer.may_send(out.igtl_type):
-            sent.refused.append(held_back(entry, peer, out.igtl_type))
+            row = peer.instead_of(out.igtl_type)
+            if names and row and row.show and not isinstance(out.content, Raw):
+                others.append(peer)
+            else:
+                sent.refused.append(held_back(entry, peer, out.igtl_type, out.channel))
+        elif peer.must_wait(out.igtl_type):
+            sent.refused.append(waiting(entry, peer, out.channel))
         elif asked or peer.claim_due(out.igtl_type, out.device, entry.stamp_ns):
             content, name = out.content, ""
+            if out.in_unit and (unit := peer.profile.arm_unit):
+                if unit not in units:
+                    units[unit] = out.in_unit(unit)
+                if units[unit] is not content:
+                    content, name = units[unit], unit
+                    sent.shown.append(unit_finding(peer))
             if adapt := peer.profile.adapt.get(type(content)):
                 if adapt not in adapted:
                     adapted[adapt], text = adapt(content)
@@ -101,39 +139,127 @@ def send(entry: Entry, out: OutboundMessage, peers: Iterable[Peer], *, asked: bo
                         )
                 if adapted[adapt] is not content:
                     content, name = adapted[adapt], adapt.__name__
-            forms.setdefault((peer.version, name, peer.expects(content)), (content, []))[1].append(peer.link)
+            key = (peer.version, name, gets_stamp(out, peer), peer.expects(content))
+            forms.setdefault(key, (content, []))[1].append(peer.link)
             peer.last_sent_ns = entry.stamp_ns
-    for (version, _, expected), (content, links) in sorted(forms.items(), key=lambda form: form[0]):
+    for (version, _, stamped, expected), (content, links) in sorted(forms.items(), key=lambda form: form[0]):
         message = Message(out.igtl_type, out.device, content, ns_to_ticks(out.stamp_ns))
         if version > 1:
-            names = (out.device, out.full_name or out.device)
+            called = (out.device, out.full_name or out.device)
             given = {item.key for item in out.metadata}
             added = tuple(MetadataItem(key, 0, value) for key, value in expected if key not in given)
-            items = compose_metadata(*names, out.ros_stamp_ns, out.frame_id, out.child_frame_id, out.metadata + added)
+            ros_stamp_ns = out.ros_stamp_ns or (out.stamp_ns if stamped else 0)
+            items = compose_metadata(*called, ros_stamp_ns, out.frame_id, out.child_frame_id, out.metadata + added)
             message = Message(out.igtl_type, out.device, content, message.ticks, version, 0, items)
         sent.outputs.append(
             Output(Kind.IGTL_OUT, out.channel, out.igtl_type, encode(message), tuple(links), out.stamp_ns)
         )
+    if names and others:
+        _send_instead(entry, out, others, sent, asked=asked, names=names)
     return sent
 
 
-def held_back(entry: Entry, peer: Peer, igtl_type: str) -> Finding:
-    """Return the finding about a message that a peer is not sent because of its profile."""
+def gets_stamp(out: OutboundMessage, peer: Peer) -> bool:
+    """Return whether a peer gets the stamp of the message in the metadata, because the ROS message has none."""
+    has_none = not out.ros_stamp_ns and not out.is_static and out.stamp_ns > 0
+    return has_none and peer.profile.stamped and peer.version > 1
+
+
+def _send_instead(
+    entry: Entry, out: OutboundMessage, peers: Sequence[Peer], sent: SendResult, *, asked: bool, names: ShownNames
+) -> None:
+    """Send peers what their table has in place of a message."""
+    groups: dict[int, tuple[Substitute, list[Peer]]] = {}
+    for peer in peers:
+        if row := peer.instead_of(out.igtl_type):
+            groups.setdefault(id(row), (row, []))[1].append(peer)
+    for row, members in groups.values():
+        try:
+            made = row.instead(out.full_name or out.device, out.content)
+        except (ConversionError, WireError) as error:
+            sent.refused.append(conversion_failure(error, f"{out.channel} is not shown as {row.shown_as}", entry))
+            continue
+        for one in made:
+            moved = _in_place_of(out, one, names)
+            part = send(entry, moved, members, asked=asked, names=names)
+            sent.outputs += part.outputs
+            sent.warnings += part.warnings
+            sent.refused += part.refused
+            sent.shown += part.shown
+            sent.shown += [_shown(entry, peer, out, moved, row) for peer in members if peer.may_send(moved.igtl_type)]
+
+
+def _in_place_of(out: OutboundMessage, shown: Shown, names: ShownNames) -> OutboundMessage:
+    device, full_name = names.of(shown.igtl_type, shown.name, out.channel)
+    own = shown.name == (out.full_name or out.device)
+    return OutboundMessage(
+        shown.igtl_type,
+        device,
+        shown.content,
+        out.stamp_ns,
+        full_name,
+        out.ros_stamp_ns,
+        out.frame_id,
+        out.child_frame_id if own else "",
+        out.metadata,
+        out.is_static,
+    )
+
+
+def _shown(entry: Entry, peer: Peer, out: OutboundMessage, moved: OutboundMessage, row: Substitute) -> Finding:
+    """Return the finding about what a peer gets in place of a stream; reported once for each of the two."""
     address, profile = peer.address or "the peer", peer.profile.name
-    unknown = peer.profile is UNRECOGNISED
+    text = f"{out.channel} goes to {address} as {moved.channel}: {row.why} (profile {profile})"
+    subject = f"{out.channel} {moved.channel}"
+    return Finding(Level.INFO, "shown_instead", text, entry.channel, entry.links, subject=subject, by=peer.link)
+
+
+def unit_finding(peer: Peer) -> Finding:
+    """Return the finding about the unit of arms for a peer; reported once."""
+    unit, name = peer.profile.arm_unit, peer.profile.name
+    text = f"{peer.address or 'the peer'} gets and sends CRTK arms in {unit}: it takes every length so (profile {name})"
+    return Finding(Level.INFO, ARM_UNIT, text, links=(peer.link,), subject="", by=peer.link, data={"unit": unit})
+
+
+def waiting(entry: Entry, peer: Peer, channel: str) -> Finding:
+    """Return the finding about a message that is too early for a peer; reported once for each peer."""
+    peer.missed = True
+    address = peer.address or "the peer"
+    return Finding(
+        Level.INFO,
+        "not_for_peer",
+        f"{channel} is sent to {address} after its first message, or after 250 ms: it may be 3D Slicer",
+        entry.channel,
+        entry.links,
+        subject="",
+        by=peer.link,
+        loss=(channel, f"{NOT_FOR}{UNRECOGNISED.name}"),
+    )
+
+
+def held_back(entry: Entry, peer: Peer, igtl_type: str, channel: str) -> Finding:
+    """Return the finding about a message that a peer is not sent because of its profile.
+
+    Peers with a table of substitutes: once for each stream; others: once for each type.
+    """
+    address, profile = peer.address or "the peer", peer.profile.name
+    unknown, row = peer.profile is UNRECOGNISED, peer.instead_of(igtl_type)
     why = f"its profile {profile} cannot receive this type"
-    if unknown:
+    if row:
+        why = f"{row.why} (profile {profile})"
+    elif unknown:
         why = (
             "it is not recognised, and programs such as PLUS lose the stream at this type; a profile "
             f"(--peer {peer.place}=default: all types) or --no-cautious sends it"
         )
+    about = channel if row else igtl_type
     return Finding(
         Level.WARN if unknown else Level.INFO,
         "not_for_peer",
-        f"{igtl_type} is not sent to {address}: {why}",
+        f"{about} is not sent to {address}: {why}",
         entry.channel,
         entry.links,
-        subject=igtl_type,
+        subject=about,
         by=peer.link,
-        loss=(igtl_type, f"{NOT_FOR}{profile}"),
+        loss=(about, f"{NOT_FOR}{profile}"),
     )

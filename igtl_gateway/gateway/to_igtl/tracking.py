@@ -30,22 +30,30 @@ class Tracking:
             yield from self._other_form(out)
         if out.igtl_type not in _POSES:
             return
-        made: dict[str, list[TrackedMoment]] = {}  # shared by all requested device names
+        made: dict[tuple[str, str], list[TrackedMoment]] = {}  # shared by all requested device names
         for (igtl_type, device), peers in trackers(self._peers.all()).items():
             name = device or TRACKING_DEVICE
             due = [peer for peer in peers if peer.is_due(igtl_type, name, entry.stamp_ns)]
             if not due:
                 continue
-            if igtl_type not in made:
-                made[igtl_type] = self._moments(entry, igtl_type)
             if not self._latest.moments:
                 due = peers
-            yield from _news(made[igtl_type], out, entry, name, due)
+            for unit in dict.fromkeys(peer.profile.arm_unit for peer in due):
+                if (igtl_type, unit) not in made:
+                    made[igtl_type, unit] = self._moments(entry, igtl_type, unit)
+                members = [peer for peer in due if peer.profile.arm_unit == unit]
+                yield from _news(made[igtl_type, unit], out, entry, name, members)
 
-    def _moments(self, entry: Entry, igtl_type: str) -> list[TrackedMoment]:
+    def _moments(self, entry: Entry, igtl_type: str, unit: str) -> list[TrackedMoment]:
+        """Return the tracking data with the poses of arms in ``unit``; "": that of each arm."""
         if self._latest.has_stream_of(igtl_type):
             return []
-        return tracking_moments(igtl_type, "", lambda *key: self._latest.of(entry, *key), moments=self._latest.moments)
+        return tracking_moments(
+            igtl_type,
+            "",
+            lambda *key: [_in_unit(out, unit) for out in self._latest.of(entry, *key)],
+            moments=self._latest.moments,
+        )
 
     def _other_form(self, out: OutboundMessage) -> Iterator[tuple[Iterable[Peer], OutboundMessage]]:
         """Yield a message of tracking data as the other type, for the peers that requested that and have no other."""
@@ -56,6 +64,10 @@ class Tracking:
             if igtl_type == other and (form := as_type(out, other)):
                 name = device or out.device
                 yield [peer for peer in peers if peer.recent], replace(form, device=name)
+
+
+def _in_unit(out: OutboundMessage, unit: str) -> OutboundMessage:
+    return replace(out, content=out.in_unit(unit), in_unit=None) if unit and out.in_unit else out
 
 
 def _news(

@@ -68,6 +68,7 @@ class IgtlReceiver:
         peer = self._peers.get(entry.links[0])
         if is_probe(message):
             return Outcome(self._queries.identify(entry, peer) if peer else [], PROBED, decoded=True)
+        is_first = peer is not None and not peer.shown
         news = self._links.learned(entry, peer, message) if peer else []
         if denied := self._denied.message(message):
             return Outcome([*news, *self._deny(entry, peer, message, denied)], "denied", decoded=True)
@@ -75,7 +76,7 @@ class IgtlReceiver:
             finding = self._activity.refuse(entry)
             items = self._rejected(entry, peer, message, finding, "refused: the gateway is not active")
             return Outcome([*news, *items], INACTIVE, decoded=True)
-        if peer and self._config.naming and is_hello(message):
+        if peer and self._config.naming and (is_hello(message) or (is_first and peer.greets_with(message))):
             return Outcome([*news, *self._links.on_message(entry, peer, message)], GREETED, decoded=True)
         makes_mark = self._marking.takes(message)
         if makes_mark:

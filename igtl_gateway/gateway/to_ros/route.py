@@ -11,6 +11,7 @@ from igtl_gateway.base.stamp import ticks_to_ns
 from igtl_gateway.config.configuration import COMMAND_QOS, Config
 from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.tracking import MAX_TOOLS
+from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.gateway.command_guard import CommandGuard, Refused
 from igtl_gateway.gateway.guard import STALE, Guard, GuardedStream, check_stamp, translation_of
 from igtl_gateway.gateway.log.entry import Entry
@@ -22,7 +23,8 @@ from igtl_gateway.gateway.orders import UNHEARD
 from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_failure
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peers
-from igtl_gateway.gateway.streams import Streams, ToRosStream
+from igtl_gateway.gateway.streams import Streams, ToRosStream, is_of_arm
+from igtl_gateway.gateway.to_igtl.sender import unit_finding
 from igtl_gateway.gateway.to_ros.convert import Converter
 from igtl_gateway.gateway.to_ros.routed import child_message, context_of
 from igtl_gateway.gateway.to_ros.volumes import Volumes
@@ -33,6 +35,7 @@ from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.query import is_dialogue
 from igtl_gateway.wire.registry import read_child
 from igtl_gateway.wire.tracking import QuaternionTrackingData, TrackingData
+from igtl_gateway.wire.transform import Position, Transform
 from igtl_gateway.wire.video import Video
 
 
@@ -73,7 +76,8 @@ class Router:
             return self._routed(entry, message, restored)
         stamp_ns = restored.stamp_ns or ticks_to_ns(message.ticks)
         try:
-            checked = self._robots.check(entry, message.content, device, stamp_ns, restored.frame_id, self._guard)
+            unit = self._arm_unit(entry.links[0])
+            checked = self._robots.check(entry, message.content, device, stamp_ns, restored.frame_id, self._guard, unit)
         except Refused as error:
             return self._refused(entry, device, error)
         outcome = self._routed(entry, message, restored, checked.frame_id)
@@ -113,11 +117,17 @@ class Router:
         stamp_ns = self._config.pick_stamp(stream.row, source_ns, entry.stamp_ns)
         to = context_of(self._config, self._streams, stream, message, restored, frame_id, link, stamp_ns)
         found: list[Item] = []
+        unit = self._arm_unit(link)
+        if unit and unit != to.lengths.igtl and self._is_pose_of_arm(message, stream, restored.device_name):
+            to = replace(to, lengths=LengthUnits(to.lengths.ros, unit))
+            if peer := self._peers.get(link):
+                found.append(unit_finding(peer))
         name = (
             entry.channel if entry.payload else f"{igtl_type}/{restored.device_name}"
         )  # for a child of a BIND: its own stream
         if watched := self._guard.of(link, name, stream.max_age_s):
-            withheld, found = check_stamp(entry, watched, source_ns, to.stamp_ns, translation_of(message.content))
+            withheld, late = check_stamp(entry, watched, source_ns, to.stamp_ns, translation_of(message.content))
+            found += late
             if withheld:
                 return Outcome(found, STALE)
         try:
@@ -129,6 +139,14 @@ class Router:
         outcome.items += found
         outcome.origin = RosOrigin(message, stream, to, watched)
         return outcome
+
+    def _arm_unit(self, link: int) -> str:
+        """Return the unit in which a peer sends arms; "": that of their row."""
+        peer = self._peers.get(link)
+        return peer.profile.arm_unit if peer else ""
+
+    def _is_pose_of_arm(self, message: Message, stream: ToRosStream, device: str) -> bool:
+        return isinstance(message.content, Transform | Position) and is_of_arm(self._config, stream.row, device)
 
     def _frame_of(self, message: Message, link: int) -> str:
         """Return the frame that the program of a peer has in the device names of its pictures; "" if there is none."""
@@ -144,7 +162,7 @@ class Router:
         shared = self._converter.shared
         if shared is None or is_dialogue(visible(message.type)):
             return []
-        known = restored.is_of_gateway or restored.device_name != visible(message.device_name)
+        known = restored.states_name or restored.device_name != visible(message.device_name)
         cut = cut_name(name, message.device_name, known=known) if entry.payload else []
         if shared.knows(name, entry.links[0]):
             return cut

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,7 +11,7 @@ from mcap.records import Attachment, Metadata
 from igtl_gateway.addons.exchange.source import ImportedItem, note_item, numbered, peer_item
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.stamp import ns_to_ticks
-from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.definition import Definition
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.body import Body
@@ -34,6 +34,9 @@ class InMemory:
 
     def entries(self) -> Iterator[Entry]:
         return numbered(self.items)
+
+    def entries_of_kinds(self, kinds: Collection[Kind]) -> Iterator[Entry]:
+        return (entry for entry in self.entries() if entry.kind in kinds)
 
     def beside(self) -> Iterator[Attachment | Metadata]:
         return iter(())
