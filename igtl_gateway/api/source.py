@@ -16,10 +16,7 @@ from igtl_gateway.base.untrusted.decoding import MessageDecoder
 from igtl_gateway.base.untrusted.limits import FileLimits, limits_in_force
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.acceptance import Acceptance
-from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.marks import Mark
-from igtl_gateway.gateway.log.note import Note
-from igtl_gateway.gateway.naming import NAME_SHARED
 from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.record.sessionfile import facts
 from igtl_gateway.record.sessionfile.bulk import MessageBlock
@@ -29,6 +26,7 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.recorded_config import units_of
 from igtl_gateway.replay.recorded_marks import marks_of
 from igtl_gateway.replay.recorded_stamps import RecordedStamps
+from igtl_gateway.replay.shared_names import shared_names
 
 if TYPE_CHECKING:
     import pyarrow
@@ -128,14 +126,26 @@ class Source:
         """Return topic → stream of the topics that the gateway made of a stream that several peers sent at one time."""
         return self._shared_topics
 
+    def shared_streams(self) -> list[tuple[str, str]]:
+        """Return the streams that several peers sent at one time, and the base frame of the session of each."""
+        found = []
+        for stream in dict.fromkeys(self.shared_topics().values()):
+            config, name = self.config, stream
+            if self.file.merge:
+                part, _, name = stream.removeprefix("/").partition("/")
+                parts = {each["name"]: each["session"] for each in self.file.merge.facts["parts"]}
+                try:
+                    config = Config.from_dict(facts.configuration(parts.get(part, {})))
+                except (ConfigError, DamagedRecording):
+                    config = None
+            found.append((name, (config or Config()).base_frame))
+        return found
+
     @cached_property
     def _shared_topics(self) -> dict[str, str]:
         found: dict[str, str] = self.file.merge.shared_topics if self.file.merge else {}
-        for entry in self.limited(lambda: self.file.entries_of_kinds({Kind.NOTE})):
-            if entry.kind is Kind.NOTE and NAME_SHARED.encode() in bytes(entry.data()):
-                note = Note.of(entry.data())
-                topics = note.data.get("topics", ()) if note.code == NAME_SHARED else ()
-                found |= {topic: note.stream for topic in topics if isinstance(topic, str)}
+        for note in self.limited(lambda: shared_names(self.file)):
+            found |= {topic: note.stream for topic in note.data.get("topics", ()) if isinstance(topic, str)}
         return found
 
     def decode(self, ros_type: str, data: bytes) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from functools import cached_property
@@ -14,13 +14,14 @@ import numpy.typing as npt
 
 from igtl_gateway.api.moments import tolerance_ns
 from igtl_gateway.api.poses import between_poses, inverse, ratio
-from igtl_gateway.api.posing import transforms_of
+from igtl_gateway.api.posing import tools_of, transforms_of
 from igtl_gateway.api.source import Source
 from igtl_gateway.api.stream import SeveralSenders, Stream
 from igtl_gateway.base.errors import ClockWarning, ConfigError, GatewayError
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.frames import frame_id
+from igtl_gateway.convert.names import frames_of_name
 from igtl_gateway.convert.rosmsg import TransformStamped
 from igtl_gateway.gateway.log.joining import GAP_NS, pick
 from igtl_gateway.gateway.log.one_clock import GATEWAY, SOURCE, OneClock, StreamTimes, one_clock
@@ -84,8 +85,9 @@ class TransformTree:
         unit: unit of all translations: ``"m"``.
     """
 
-    def __init__(self, edges: Iterable[Edge]) -> None:
+    def __init__(self, edges: Iterable[Edge], mixed: Mapping[tuple[str, str], str] | None = None) -> None:
         self.unit = "m"
+        self._mixed = dict(mixed or {})
         self._edges = {(edge.parent, edge.child): edge for edge in edges}
         self._clocks: dict[tuple[object, ...], OneClock] = {}
 
@@ -96,10 +98,14 @@ class TransformTree:
     def of(cls, source: Source, streams: Iterable[Stream]) -> TransformTree:
         """Read the frames of a recording."""
         samples: dict[tuple[str, str], _Samples] = {}
+        streams = list(streams)
+        mixed = _mixed_pairs(source, streams)
         for rank, stream in sorted(((_rank(stream), stream) for stream in streams), key=lambda each: each[0]):
             if rank == _NO_FRAMES:
                 continue
             for pair, times, stamps, matrices, static in _poses_of(stream):
+                if pair in mixed:
+                    continue
                 if pair not in samples:
                     samples[pair] = _Samples(rank, stream.key, static, [], [], [])
                 if samples[pair].rank == rank:
@@ -109,16 +115,17 @@ class TransformTree:
         edges = [each.edge(*pair) for pair, each in samples.items()]
         ranks = [each.rank for each in samples.values()]
         # a frame of /tf has one parent at a time; OpenIGTLink has a pose for each pair of frames
-        return cls(
+        whole = (
             replace(edge, segments=_segments(edge, [each for each, one in zip(edges, ranks, strict=True) if one == 0]))
             if rank == 0
             else edge
             for edge, rank in zip(edges, ranks, strict=True)
         )
+        return cls(whole, mixed)
 
     @property
     def edges(self) -> tuple[Edge, ...]:
-        """All pairs of frames with their poses."""
+        """All pairs of frames with their poses, without those that several peers sent in turn."""
         return tuple(self._edges.values())
 
     @property
@@ -211,12 +218,27 @@ class TransformTree:
         """The edges from ``target`` to ``source``, and whether each is passed from parent to child."""
         for name in (target, source):
             if name not in self._neighbours:
+                self._check_mixed(target, source)
                 known = ", ".join(self.frames[:10]) or "none"
                 raise ConfigError(f"frame: found {name!r}, expected one of the recording: {known}")
         found = self._way(target, source)
         if found is None:
+            self._check_mixed(target, source)
             raise ConfigError(f"frames: found no connection between {target!r} and {source!r}")
         return found
+
+    def _check_mixed(self, target: str, source: str) -> None:
+        """Raise SeveralSenders if two frames are connected by poses that several peers sent in turn."""
+        nothing = np.zeros(0, np.int64)
+        more = [Edge(*pair, nothing, np.zeros((0, 4, 4)), False, stream) for pair, stream in self._mixed.items()]
+        tree = TransformTree([*self.edges, *more])
+        known = target in tree._neighbours and source in tree._neighbours
+        for edge, _ in tree._way(target, source) or () if known else ():
+            if (edge.parent, edge.child) in self._mixed:
+                raise SeveralSenders(
+                    f"frame {edge.child!r} in {edge.parent!r}: found poses of several peers in turn, expected those of "
+                    f"one, as in recording['{edge.stream}@LINK'].poses()"
+                )
 
     def _way(self, target: str, source: str, allowed: set[int] | None = None) -> list[tuple[Edge, bool]] | None:
         """The shortest way on all edges, or on those whose identities are allowed; None without one."""
@@ -382,6 +404,20 @@ def _segments(edge: Edge, others: Iterable[Edge]) -> Times:
             last = np.searchsorted(other.times, edge.times[gaps + 1], side="left")
             breaks[gaps[last > first] + 1] = 1
     return np.cumsum(breaks)
+
+
+def _mixed_pairs(source: Source, streams: Iterable[Stream]) -> dict[tuple[str, str], str]:
+    """Parent and child frame → stream, of the frames that several peers sent at one time: no movement of one thing."""
+    found: dict[tuple[str, str], str] = {}
+    for name, base_frame in source.shared_streams():
+        kind, _, device = name.partition("/")
+        pairs = {frames_of_name(device, base_frame)}
+        if kind in ("TDATA", "QTDATA"):
+            own = (each for each in streams if each.name == name and each.direction == "igtl_in")
+            tools = (tool for stream in own for message in stream for tool in tools_of(message.content))
+            pairs = {(parent or base_frame, child) for parent, child, _, _ in tools}
+        found |= {(frame_id(parent), frame_id(child)): name for parent, child in pairs}
+    return found
 
 
 _NO_FRAMES = 3

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
 from functools import partial
@@ -29,12 +29,13 @@ from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError, GatewayError
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.faults import LOSS, Fate, Faults
-from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.moment import check_part
 from igtl_gateway.replay.recorded_config import config_to_run, recorded_acceptance
 from igtl_gateway.replay.recorded_marks import marked_moment, marks_of
 from igtl_gateway.replay.restamp import Restamper
+from igtl_gateway.replay.shared_names import shared_names
 from igtl_gateway.replay.simclock import period_ns, with_ticks
 from igtl_gateway.replay.timeline import SessionTimeline, clock_steps_of
 
@@ -157,6 +158,8 @@ def run_replay(path: Path, options: ReplayOptions, stop: Event, events: ReplayEv
         faults_of_streams = check_streams(file, config, how, options.streams)
         for fault in faults_of_streams:
             events.on_line(f"! --streams {fault}")
+        for text in _mixed(file, how):
+            events.on_line(f"! {text}")
         events.on_line(f"{path}: {how.why}")
         pace = SessionTimeline(clock_steps_of(file))
         side = open_sides(options, file, how, stop, stack, events.on_line, relay=config.relay)
@@ -258,6 +261,14 @@ def _restamper(options: ReplayOptions, file: SessionFile, tell: Callable[[str], 
         file.definitions,
         recorded_acceptance(file),
     )
+
+
+def _mixed(file: SessionFile, how: ReplayPlan) -> Iterator[str]:
+    """Yield what receivers of a replay would take for one movement, and is not."""
+    if file.merge:
+        yield from (f"reported by {each}" for each in file.merge.reported)
+    elif how.kinds & {Kind.IGTL_IN, Kind.ROS_OUT}:
+        yield from (note.text for note in shared_names(file))
 
 
 def _result(

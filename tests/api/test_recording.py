@@ -617,6 +617,8 @@ def test_messages_of_two_peers_with_one_device_are_told_apart(tmp_path: Path) ->
         assert stream.to_arrow()["link"].to_pylist() == [1, 2] * 5
         with pytest.raises(ConfigError, match="found messages of several peers"):
             recording["/igtl/in/Tool/transform"].poses()
+        with pytest.raises(ConfigError, match=r"'Tool' in 'igtl': found poses of several peers.*TRANSFORM/Tool@LINK"):
+            recording.tf.lookup("igtl", "Tool", recording["TRANSFORM/Tool@1"])
         for mixed in ("TRANSFORM/Tool", "/igtl/in/Tool/transform"):
             with pytest.raises(ConfigError, match="found messages of"):
                 igtl_gateway.align([recording[mixed]], on=recording["TRANSFORM/Tool@1"])

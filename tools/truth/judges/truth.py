@@ -200,7 +200,7 @@ class Truth:
                 device = stream.key.partition("/")[2] if not stream.is_ros else stream.key
                 found.add(device)
                 child, _, parent = device.partition("To")
-                if parent:  # on /tf a device is a frame in its parent
+                if child and parent:  # on /tf a device is a frame in its parent
                     found.add(f"{child} in {parent}")
                 if stream.names:
                     found.add(stream.names[things_of(stream).index(thing)])
