@@ -146,8 +146,11 @@ def main() -> int:
             with tempfile.TemporaryDirectory() as name:
                 rows: list[tuple[int, float, bool]] = []
                 for _ in range(options.kills):
-                    rows.append(one_kill(Path(name), options.hz, chance.uniform(1.0, 6.0)))
+                    seconds = chance.uniform(1.0, 6.0)
+                    rows.append(one_kill(Path(name), options.hz, seconds))
                     seen.look()
+                    if rows[-1][1] > MOST_AGE_S:
+                        print(f"lost {rows[-1][0]:,}, {rows[-1][1]:.2f} s, by a kill {seconds:.2f} s after the first")
         finally:
             for hog in hogs:
                 hog.kill()
