@@ -25,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.body import Body
+from igtl_gateway.wire.image import Image
 from igtl_gateway_lab.simulate.every_igtl import command_content, contents, query
 from tests.costly import TABLE
 
@@ -94,6 +95,8 @@ _STRING = message("STRING", struct.pack(">HH", 3, 5) + b"Hello")
 
 #: The most expensive valid messages of each type.
 _COSTLY = {f"most: {row.name}": row for row in TABLE}
+#: A short message that makes a whole volume anew.
+_PARTS = "most: IMAGE, parts of a volume"
 
 #: Attacks that are made of connections.
 _MANNERS = ("connect and leave", "half a header", "a message and reset", "a message and leave")
@@ -106,7 +109,15 @@ def names() -> list[str]:
 
 def costly() -> list[str]:
     """The names of the attacks with the most expensive valid message of a type."""
-    return list(_COSTLY)
+    return [*_COSTLY, _PARTS]
+
+
+def _parts() -> list[bytes]:
+    """A volume of 60 MB, and 500 times a row of it."""
+    size = (1_000, 1_000, 60)
+    volume = Image(size, 3, bytes(60_000_000), 1)
+    part = Image(size, 3, bytes(1_000), 1, subvol_offset=(0, 0, 0), subvol_size=(1_000, 1, 1))
+    return [_encoded("IMAGE", "Attack", volume), *[_encoded("IMAGE", "Attack", part)] * 500]
 
 
 class _Flooder:
@@ -212,7 +223,11 @@ def main() -> None:
     if name in _MANNERS:
         sent = churn(name, *where)
     else:
-        sent = flood([_COSTLY[name].data()] if name in _COSTLY else _attacks()[name], *where)
+        if name in _COSTLY:
+            messages = [_COSTLY[name].data()]
+        else:
+            messages = _parts() if name == _PARTS else _attacks()[name]
+        sent = flood(messages, *where)
     print(sent, flush=True)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,23 @@ _PART_BYTES = 1_024
 
 #: Shape (k, j, i, components), and numpy name of the scalar type.
 Form = tuple[tuple[int, ...], str]
+
+
+@dataclass(frozen=True, slots=True)
+class ForeseenVolume:
+    """What a part makes of a volume, before it is its turn.
+
+    Attributes:
+        image: the part.
+        whole: the whole image.
+        pixels: its array.
+        state: of the assembler from which it was made.
+    """
+
+    image: Image
+    whole: Image
+    pixels: npt.NDArray[Any]
+    state: int
 
 
 class VolumeAssembler:
@@ -45,8 +62,23 @@ class VolumeAssembler:
         self._parts: list[Image] = []  # until the array is allocated
         self._whole: npt.NDArray[Any] | None = None  # byte order of the first message
         self._seen: npt.NDArray[np.bool_] | None = None  # None when all voxels are covered
+        self._state = 0  # increases before and after each change
 
-    def update(self, image: Image, room: int = 2 * MAX_VOLUME_BYTES) -> Image | None:
+    def foreseen(self, image: Image) -> ForeseenVolume | None:
+        """Return what ``update`` would make of a part of a whole volume, and change nothing; from any thread."""
+        state, whole = self._state, self._whole
+        is_part = image.sub_size != image.dimensions
+        if not is_part or whole is None or self._seen is not None or self._form != form_of(image):
+            return None
+        if whole.nbytes > MAX_VOLUME_BYTES:
+            return None
+        pixels = whole.copy()
+        pixels[_place_of(image)] = image.array
+        return ForeseenVolume(image, _image_of(image, pixels), pixels, state) if state == self._state else None
+
+    def update(
+        self, image: Image, room: int = 2 * MAX_VOLUME_BYTES, foreseen: ForeseenVolume | None = None
+    ) -> Image | None:
         """Add a message; return the whole image, or None while parts of it are missing.
 
         A message with another size, scalar type or number of components starts a new volume.  The geometry is that
@@ -55,10 +87,23 @@ class VolumeAssembler:
         Args:
             image: a whole image or a part of one.
             room: bytes that may be stored.  A larger whole image is returned, but not stored for updates.
+            foreseen: result of that for this image, used if nothing has changed since.
 
         Raises:
             ConversionError: the volume exceeds MAX_VOLUME_BYTES, or its parts exceed ``room``.
         """
+        if foreseen and foreseen.image is image and foreseen.state == self._state:
+            self._state += 1
+            self._whole = foreseen.pixels
+            self._state += 1
+            return foreseen.whole
+        self._state += 1
+        try:
+            return self._updated(image, room)
+        finally:
+            self._state += 1
+
+    def _updated(self, image: Image, room: int) -> Image | None:
         form = form_of(image)
         shape, _ = form
         if image.sub_size == image.dimensions:
@@ -99,9 +144,7 @@ class VolumeAssembler:
             return None
         if self._seen is not None:
             self._seen, self.held = None, size
-        endian = image.endian if self._whole.dtype == image.dtype else 3 - image.endian
-        pixels = self._whole.reshape(-1).view(np.uint8).data
-        return replace(image, pixels=pixels, endian=endian, subvol_offset=(0, 0, 0), subvol_size=None)
+        return _image_of(image, self._whole)
 
     def takes(self, form: Form) -> bool:
         """Return whether a whole image of this form is stored; ``keep`` can replace it within the same memory."""
@@ -109,15 +152,19 @@ class VolumeAssembler:
 
     def keep(self, form: Form, dtype: np.dtype[Any], pixels: memoryview) -> None:
         """Store a whole image for later updates.  If ``takes`` is true, this is equal to ``update`` with that image."""
+        self._state += 1
         self._begin(form)
         self._whole = np.frombuffer(pixels, dtype).reshape(form[0])
         self.missing, self.held, self._is_base = 0, pixels.nbytes, True
+        self._state += 1
 
     def forget(self) -> None:
         """Discard what is stored.  Parts of a whole image that came as one message then lack their base."""
         forgotten = self._form if self._is_base else None
+        self._state += 1
         self._begin(None)
         self._forgotten = forgotten
+        self._state += 1
 
     def lacks_base(self, image: Image) -> bool:
         """Return whether this is a part of a whole image that was forgotten."""
@@ -133,8 +180,7 @@ class VolumeAssembler:
     def _put(self, image: Image) -> None:
         """Write a part into the array."""
         assert self._whole is not None
-        (x, y, z), (nx, ny, nz) = image.subvol_offset, image.sub_size
-        part = (slice(z, z + nz), slice(y, y + ny), slice(x, x + nx))
+        part = _place_of(image)
         self._whole[part] = image.array
         if self._seen is not None:
             seen = self._seen[part]
@@ -146,3 +192,16 @@ def form_of(image: Image) -> Form:
     """Return the form of the whole image to which a message belongs."""
     i, j, k = image.dimensions
     return (k, j, i, image.num_components), SCALARS[image.number_type]
+
+
+def _place_of(image: Image) -> tuple[slice, slice, slice]:
+    """Return where a part is in the array of the whole image."""
+    (x, y, z), (nx, ny, nz) = image.subvol_offset, image.sub_size
+    return slice(z, z + nz), slice(y, y + ny), slice(x, x + nx)
+
+
+def _image_of(newest: Image, pixels: npt.NDArray[Any]) -> Image:
+    """Return the whole image with these pixels, and all else of the newest message."""
+    endian = newest.endian if pixels.dtype == newest.dtype else 3 - newest.endian
+    data = pixels.reshape(-1).view(np.uint8).data
+    return replace(newest, pixels=data, endian=endian, subvol_offset=(0, 0, 0), subvol_size=None)

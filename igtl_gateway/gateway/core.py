@@ -93,7 +93,7 @@ class Gateway:
         self._subscribers = subscribers = Subscribers(needs_tf=bool(tf), room=latched_room)
         self._forget_at_ns: int | None = None
         self._volumes = volumes = Volumes(room)
-        beforehand = Beforehand(config, streams, subscribers)
+        beforehand = Beforehand(config, streams, subscribers, volumes)
 
         composer = Composer(config, streams)
         self._latest = latest = Latest(

@@ -18,6 +18,7 @@ from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import ConversionError, WireError
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert import clouds, polydata, surfaces, tracking
+from igtl_gateway.convert.assembly import ForeseenVolume
 from igtl_gateway.convert.cdr import CdrWriter
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.context import ToRosContext
@@ -33,11 +34,13 @@ from igtl_gateway.gateway.output import Packed
 from igtl_gateway.gateway.streams import Streams
 from igtl_gateway.gateway.to_ros.routed import child_message, context_of
 from igtl_gateway.gateway.to_ros.subscribers import Subscribers
+from igtl_gateway.gateway.to_ros.volumes import Volumes
 from igtl_gateway.wire import Message, Raw
 from igtl_gateway.wire.bind import Bind
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.cost import AT_ONCE_NS, cost_ns
 from igtl_gateway.wire.fields import visible
+from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.registry import read_child
 
 #: Conversions that take long for a message of any size.
@@ -78,6 +81,7 @@ class Piece:
         metadata: the message of the sender's metadata.
         raw: the message as a RawMessage, where there is no conversion.
         children: pieces of the children of a BIND.
+        volume: what a part of an image makes of its volume.
     """
 
     content: Body | WireError
@@ -88,6 +92,7 @@ class Piece:
     metadata: Packed | None = None
     raw: Packed | None = None
     children: tuple[Piece, ...] = ()
+    volume: ForeseenVolume | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,12 +124,13 @@ class Beforehand:
         results: of the message that is handled now; set and used with the sequence lock.
     """
 
-    def __init__(self, config: Config, streams: Streams, subscribers: Subscribers) -> None:
+    def __init__(self, config: Config, streams: Streams, subscribers: Subscribers, volumes: Volumes) -> None:
         self.results: Results | None = None
         self._acceptance = Acceptance.of(config)
         self._config = config
         self._streams = streams
         self._subscribers = subscribers
+        self._volumes = volumes
 
     # ── from any thread ───────────────────────────────────────────────────────────────────────────────────────
 
@@ -147,10 +153,13 @@ class Beforehand:
         self, results: Results, message: Message, restored: RestoredMetadata, link: int, *, takes_long: bool
     ) -> Piece:
         content = message.content
-        piece = Piece(content)
+        known = piece = Piece(content)
         if not (takes_long or visible(message.type) == "POLYDATA"):
             return piece
         results.pieces[id(content)] = piece
+        if isinstance(content, Image) and (volume := self._volumes.foreseen(restored.device_name, content)):
+            piece.volume, content = volume, volume.whole
+            piece = results.pieces[id(content)] = Piece(content)
         stream = self._streams.foreseen(visible(message.type), restored.device_name)
         frame_id = stream.row.frame_id or restored.frame_id or stream.frame_id
         to = piece.to = context_of(self._config, self._streams, stream, message, restored, frame_id, link, 0)
@@ -168,7 +177,7 @@ class Beforehand:
             piece.metadata = Packed.of(metadata_message(to))
         if isinstance(content, Bind):
             piece.children = tuple(self._child(results, child, message, restored, link) for child in content.children)
-        return piece
+        return known
 
     def _child(self, results: Results, child: Any, message: Message, restored: RestoredMetadata, link: int) -> Piece:
         try:
@@ -206,6 +215,11 @@ class Beforehand:
         if results and results.restored and results.decoded is message:
             return results.restored
         return restore_metadata(message, self._config.naming)
+
+    def volume(self, image: Image) -> ForeseenVolume | None:
+        """Return what a part of an image makes of its volume; None: it was not made."""
+        piece = self._piece_of(image)
+        return piece.volume if piece else None
 
     def children(self, bind: Bind) -> Sequence[Body | WireError | None]:
         """Return the contents of the children of a BIND, or why there is none; None: not known."""

@@ -8,6 +8,7 @@ from dataclasses import replace
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.errors import ConversionError, WireError
 from igtl_gateway.base.qos import Qos
+from igtl_gateway.convert.assembly import ForeseenVolume
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.igtl_msgs import Metadata
@@ -142,6 +143,10 @@ class Converter:
         message = self._beforehand.metadata(content, to) or metadata_message(to)
         self._streams.advertise(stream.metadata_topic, METADATA_QOS)
         return ros_output(stream.metadata_topic, message, to.stamp_ns)
+
+    def foreseen(self, image: Image) -> ForeseenVolume | None:
+        """Return the volume that a part makes, if it is known."""
+        return self._beforehand.volume(image)
 
     def children(self, bind: Bind) -> Sequence[Body | WireError | None]:
         """Return the contents of the children of a BIND that are known; see ``Beforehand.children``."""

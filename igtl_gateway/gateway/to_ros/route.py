@@ -177,7 +177,8 @@ class Router:
         if isinstance(content, Bind):
             return Outcome(self._split_bind(entry, message, content, restored, stream, to), CONVERTED)
         if isinstance(content, Image):
-            whole = self._volumes.assembled(restored.device_name, content, entry.seq)
+            foreseen = self._converter.foreseen(content)
+            whole = self._volumes.assembled(restored.device_name, content, entry.seq, foreseen)
             if whole is None:
                 return Outcome(fate="part_of_volume")
             content = whole

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from igtl_gateway.base.errors import ConversionError, NoBase
-from igtl_gateway.convert.assembly import VolumeAssembler
+from igtl_gateway.convert.assembly import ForeseenVolume, VolumeAssembler
 from igtl_gateway.gateway.kept import beyond
 from igtl_gateway.wire.image import Image
 
@@ -28,7 +28,14 @@ class Volumes:
         """Return the assembler of a device; None if there is none."""
         return self._assemblers.get(device)
 
-    def assembled(self, device: str, image: Image, seq: int = 0) -> Image | None:
+    def foreseen(self, device: str, image: Image) -> ForeseenVolume | None:
+        """Return what ``assembled`` would, and change nothing, for a part of a whole image; from any thread."""
+        assembler = self._assemblers.get(device)
+        return assembler.foreseen(image) if assembler else None
+
+    def assembled(
+        self, device: str, image: Image, seq: int = 0, foreseen: ForeseenVolume | None = None
+    ) -> Image | None:
         """Return the whole image that ``image`` of the entry ``seq`` updates; None while some of its parts are missing.
 
         Raises ConversionError for partial images of too many devices, NoBase for parts of what was forgotten.
@@ -49,7 +56,7 @@ class Volumes:
             )
         assembler.used = seq
         others = sum(one.held for one in self._assemblers.values()) - assembler.held
-        return assembler.update(image, MAX_VOLUMES_BYTES - others)
+        return assembler.update(image, MAX_VOLUMES_BYTES - others, foreseen)
 
     def exceed(self) -> bool:
         """Return whether ``forget`` has anything to do."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import count
 
+import numpy as np
 import pytest
 
 from igtl_gateway.app.hub import Hub
@@ -16,13 +18,16 @@ from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert import surfaces
 from igtl_gateway.gateway import Session
+from igtl_gateway.gateway.fastpath import cache
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.session import make_core
 from igtl_gateway.gateway.to_ros import beforehand
 from igtl_gateway.gateway.to_ros.beforehand import LONG
 from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.cost import AT_ONCE_NS, cost_ns
+from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.message import Item
 from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway_lab.simulate.every_igtl import contents
@@ -104,6 +109,48 @@ def test_messages_unlike_the_compiled_stream_before_them(row: Costly, with_subsc
     assert len(logs[0]) == len(logs[1])
     for one, other in zip(*logs, strict=True):  # the bytes may come in two buffers
         assert replace(one, payload=(join(one.payload),)) == replace(other, payload=(join(other.payload),))
+
+
+def parts_of_volumes() -> Iterator[bytes]:
+    """Whole images and parts of them: in both byte orders, of several sizes, alone and two in a BIND."""
+    size = (4, 3, 2)
+
+    def image(first: tuple[int, int, int], of: tuple[int, int, int], number: int, endian: int = 1) -> Image:
+        pixels = (np.arange(math.prod(of)) + 100 * number).astype(">u2" if endian == 1 else "<u2")
+        return Image(size, 5, pixels.tobytes(), 1, endian, subvol_offset=first, subvol_size=of)
+
+    row = (4, 1, 1)
+    yield message("IMAGE", "Scan", image((0, 0, 0), row, 1))  # a part before the whole
+    for number in range(2, 8):
+        yield message("IMAGE", "Scan", image((0, 0, 0), size, number) if number % 3 else Image((2, 2, 1), 3, b"abcd"))
+        for endian in (1, 2):
+            yield message("IMAGE", "Scan", image((0, endian, number % 2), row, 10 * number, endian))
+        two = [image((0, 0, 1), row, number), image((0, 2, 0), row, number)]
+        children = [BindChild("IMAGE", "Scan", join(one.pack())) for one in two]
+        yield message("BIND", "Both", Bind(tuple(children)))
+
+
+def test_a_part_of_a_volume_makes_the_whole_before_its_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where the volume has changed since, and the whole is made again."""
+    for module in (beforehand, cache):
+        monkeypatch.setattr(module, "AT_ONCE_NS", 0)
+    logs, used = [], 0
+    for ahead in (None, 0, 1):  # not prepared; at its turn; while the message before it is not handled yet
+        session, log = Session(make_core(Config())), []
+        link_up(session, 1)
+        data = list(parts_of_volumes())
+        made = {}
+        for step, one in enumerate(data):
+            if ahead is not None:
+                for early in range(step, min(step + ahead + 1, len(data))):
+                    if early not in made:
+                        made[early] = session.prepare(Kind.IGTL_IN, data[early], "", "", (1,), 0)
+            prepared = made.get(step)
+            used += sum(bool(piece.volume) for piece in getattr(prepared, "pieces", {}).values())
+            log += session.input(T0_NS + step * 1_000_000, Kind.IGTL_IN, (one,), links=(1,), prepared=prepared)
+        logs.append([replace(entry, payload=(join(entry.payload),)) for entry in log])
+    assert logs[0] == logs[1] == logs[2]
+    assert used > 10
 
 
 def test_results_for_another_message_are_not_used() -> None:
