@@ -95,7 +95,7 @@ _STRING = message("STRING", struct.pack(">HH", 3, 5) + b"Hello")
 
 #: The most expensive valid messages of each type.
 _COSTLY = {f"most: {row.name}": row for row in TABLE}
-#: A short message that makes a whole volume anew.
+#: A short message of which a whole volume is copied.
 _PARTS = "most: IMAGE, parts of a volume"
 
 #: Attacks that are made of connections.

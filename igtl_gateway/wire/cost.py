@@ -35,12 +35,12 @@ _NS_PER_EVEN_BYTE, _NS_PER_ODD_BYTE, _NS_PER_ATTRIBUTE = 15, 200, 10_000
 _POLYDATA = Struct(">10I")
 #: Of IMAGE: components, scalar type; sizes of the volume, offset and sizes of the part that the message has.
 _IMAGE, _ITEM_BYTES = Struct(">2xBB2x3H48x6H"), {2: 1, 3: 1, 15: 1, 4: 2, 5: 2, 6: 4, 7: 4, 10: 4, 11: 8}
-#: A part of a volume makes the whole of it anew.
+#: A part of a volume makes a copy of the whole.
 _NS_PER_BYTE_OF_WHOLE = 2
 #: Pictures take the same way whatever their size: they are views, and copied without the lock.
 _PICTURES = frozenset({b"IMAGE", b"VIDEO"})
 _NS_PER_OTHER_BYTE = 5
-#: What is shorter is never expensive, but for parts of volumes.
+#: What is shorter is never expensive, except parts of volumes.
 _LEAST_BYTES = 512
 _NS_PER_ITEM, _NS_PER_METADATA_BYTE = 6_000, 20
 _ITEM_SIZE = 8
