@@ -69,13 +69,19 @@ def read(scene: Any, node: str, storage: str, path: Path, **setting: Any) -> Any
     Raises AssertionError, with Slicer's text, if Slicer does not read it or logs a line.
     """
     found = new_node(scene, node, path.name)
-    _use(found, _storage(scene, storage, path, setting), "ReadData", path)
+    chosen = _storage(scene, storage, path, setting)
+    with log_of() as log:
+        done = chosen.ReadData(found)
+    assert done, (path, chosen.GetUserMessages().GetAllMessagesAsString(), log)
+    assert not log, (path, log)
     return found
 
 
 def write(node: Any, storage: str, path: Path, **setting: Any) -> Path:
-    """Write a node of a scene by a storage node of a class; raises as ``read`` does."""
-    _use(node, _storage(node.GetScene(), storage, path, setting), "WriteData", path)
+    """Write a node of a scene by a storage node of a class; the log, which warns of old formats, is not looked at."""
+    with log_of():
+        done = _storage(node.GetScene(), storage, path, setting).WriteData(node)
+    assert done, path
     return path
 
 
@@ -93,13 +99,6 @@ def _storage(scene: Any, storage: str, path: Path, setting: dict[str, Any]) -> A
     for name, value in setting.items():
         getattr(chosen, f"Set{name}")(value)
     return chosen
-
-
-def _use(node: Any, storage: Any, verb: str, path: Path) -> None:
-    with log_of() as log:
-        done = getattr(storage, verb)(node)
-    assert done, (path, storage.GetUserMessages().GetAllMessagesAsString(), log)
-    assert not log, (path, log)
 
 
 @contextmanager
@@ -169,3 +168,11 @@ def items(sequence: Any) -> list[tuple[str, Any]]:
     return [
         (sequence.GetNthIndexValue(at), sequence.GetNthDataNode(at)) for at in range(sequence.GetNumberOfDataNodes())
     ]
+
+
+def add_point(markups: Any, position: tuple[float, float, float], label: str) -> None:
+    """Add a control point to a markups node; RAS, millimetres."""
+    import vtk
+
+    with log_of():  # a scene without the units of the program
+        markups.AddControlPoint(vtk.vtkVector3d(*position), label)

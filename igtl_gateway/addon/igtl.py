@@ -32,7 +32,7 @@ from igtl_gateway.wire.query import (
 from igtl_gateway.wire.registry import BODIES, describe_content, read_content
 from igtl_gateway.wire.sensor import Sensor, parse_unit
 from igtl_gateway.wire.text import Status, String
-from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET
+from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET, Trajectories
 from igtl_gateway.wire.transform import Position, Transform
 from igtl_gateway.wire.video import Video
 
@@ -80,6 +80,7 @@ __all__ = [
     "StartVideo",
     "Status",
     "String",
+    "Trajectories",
     "Transform",
     "Video",
     "crc64",

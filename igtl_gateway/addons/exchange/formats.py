@@ -8,6 +8,8 @@ from pathlib import Path
 
 from igtl_gateway.addon import NoSuchRecording, UnsupportedRecording, files
 from igtl_gateway.addons.exchange.capture import Capture, looks_like_igtl
+from igtl_gateway.addons.exchange.itk_transform import looks_like_transform
+from igtl_gateway.addons.exchange.markups import looks_like_markups
 from igtl_gateway.addons.exchange.nifti import looks_like_nifti, read_nifti
 from igtl_gateway.addons.exchange.pcap import Pcap
 from igtl_gateway.addons.exchange.pcap_file import is_capture
@@ -16,6 +18,7 @@ from igtl_gateway.addons.exchange.rosbag2 import Rosbag2
 from igtl_gateway.addons.exchange.rosbag2_metadata import METADATA
 from igtl_gateway.addons.exchange.scene_in import SceneSource, looks_like_scene
 from igtl_gateway.addons.exchange.sequence import Sequence
+from igtl_gateway.addons.exchange.slicer_file import open_markups, open_transform
 from igtl_gateway.addons.exchange.source import Source, library_errors_as_damage
 
 #: This number of bytes at the start of a file shows its format.
@@ -65,8 +68,22 @@ FORMATS = (
     ),
     ImportFormat("nifti", (".nii", ".nii.gz"), looks_like_nifti, lambda path, epoch: Sequence(path, epoch, read_nifti)),
     ImportFormat("scene", (".mrb", ".mrml"), looks_like_scene, SceneSource),
+    ImportFormat("transform", (".tfm", ".h5", ".mat", ".txt"), looks_like_transform, open_transform),
+    ImportFormat("markups", (".mrk.json", ".fcsv"), looks_like_markups, open_markups),
     ImportFormat("pcap", (".pcap", ".cap", ".pcapng"), is_capture, lambda path, _epoch: Pcap(path)),
     ImportFormat(IGTL, (".igtl",), looks_like_igtl, Capture),
+)
+
+#: What is no recording, but found beside them: the beginning of a file, or else its suffix → its name for people.
+_OTHERS = (
+    (b"# vtk DataFile Version", ".vtk", "a model of VTK"),
+    (b"<VTKFile", ".vtp", "a model of VTK"),
+    (b"ply\n", ".ply", "a model of PLY"),
+    (b"ply\r\n", ".ply", "a model of PLY"),
+    (b"solid ", ".stl", "a model of STL"),
+    (b"", ".obj", "a model of OBJ"),
+    (b"", ".csv", "a table"),
+    (b"", ".tsv", "a table"),
 )
 
 
@@ -99,4 +116,12 @@ def open_source(path: Path, epoch_ns: int | None = None) -> Source:
     if kind := format_of(start):
         return kind.open(path, epoch_ns)
     suffixes = " ".join(suffix for kind in FORMATS for suffix in kind.suffixes)
-    raise UnsupportedRecording(f"{path}: found {start[:16]!r} at its start, expected one of these: {suffixes}")
+    raise UnsupportedRecording(f"{path}: found {_found(path, start)}, expected one of these: {suffixes}")
+
+
+def _found(path: Path, start: bytes) -> str:
+    """Return what a file is that is in no format of the table, by its first bytes, or else by its suffix."""
+    by_start = (name for begin, _, name in _OTHERS if begin and begin in start[: len(begin) + 64])
+    by_suffix = (name for _, suffix, name in _OTHERS if path.name.lower().endswith(suffix))
+    name = next(by_start, None) or next(by_suffix, None)
+    return f"{name}, which has no times and is not imported" if name else f"{start[:16]!r} at its start"

@@ -52,6 +52,10 @@ EXAMPLES = """\
   igtl-gateway import head.nii.gz -o session.mcap
   # a scene of 3D Slicer: poses, pictures, points and strings
   igtl-gateway import scene.mrb -o session.mcap
+  # a transform of 3D Slicer or ITK (.h5 .tfm .mat .txt), as TRANSFORM
+  igtl-gateway import ProbeToTracker.h5 -o session.mcap
+  # markups of 3D Slicer (.mrk.json .fcsv), as POINT, TRAJ and POLYDATA
+  igtl-gateway import Plan.mrk.json -o session.mcap
   # the bytes that an OpenIGTLink server sent
   igtl-gateway import probe.s2c.igtl -o session.mcap
   # OpenIGTLink in captured TCP, both directions
