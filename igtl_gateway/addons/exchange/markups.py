@@ -64,7 +64,7 @@ def read_markups(path: Path) -> list[Markup]:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise DamagedRecording(f"{path}: byte {error.start}: found no UTF-8, expected text") from None
+        raise DamagedRecording(f"{path}: byte {error.start}: found invalid UTF-8, expected text") from None
     return [_of_table(text, str(path))] if data.startswith(FCSV) else _of_json(text, str(path))
 
 
