@@ -33,6 +33,7 @@ _LAST_CPU = 8191  # of any Linux
 _FORMATS = {
     ".mcap": "a recording (MCAP)",
     ".rrd": "a recording of rerun",
+    **dict.fromkeys((".mrb", ".mrml"), "a scene of 3D Slicer"),
     ".bag": "a bag of ROS 1",
     ".db3": "a bag of ROS 2 (SQLite)",
     ".igtl": "OpenIGTLink bytes",

@@ -104,7 +104,7 @@ TARGETS = {
         "the pictures of one stream that do not move, as one file",
         "open {out} in 3D Slicer (as Volume Sequence)",
         export_picture_sequence,
-        (".seq.nrrd",),
+        (".nrrd",),
         thins=True,
     ),
     "csv": ExportFormat(

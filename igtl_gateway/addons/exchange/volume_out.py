@@ -96,6 +96,8 @@ def export_picture_of(entry: Entry, unit: str, acceptance: Acceptance) -> Image:
 
 def in_millimetres(image: Image, unit: str) -> Image:
     """Return a picture whose matrix has lengths in ``unit``, with one in millimetres."""
+    if unit == "mm":
+        return image
     return replace(image, wire_matrix=tuple(map(millimetres(unit).to_ros, image.wire_matrix)))
 
 

@@ -19,6 +19,7 @@ from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.targets import export_to
 from igtl_gateway.base.errors import GatewayError, UnsupportedRecording
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.cli import main
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
@@ -301,3 +302,19 @@ def test_a_bundle_is_a_plain_zip_of_one_folder(tmp_path: Path) -> None:
         assert bundle.testzip() is None
     assert {name.split("/")[0] for name in names} == {"my_scene"}
     assert "my_scene/my_scene.mrml" in names
+
+
+def test_the_command_line_writes_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording, name = str(FIXTURES / "acquisition.mcap"), tmp_path / "out.seq.nrrd"
+    first = session(tmp_path / "one.mcap", [(n * 50 * NS_PER_MS, picture(n, 0.0)) for n in range(3)])
+    assert main(["export", str(first), "--to", "seq.nrrd", "-o", str(name)]) == 0
+    assert main(["export", str(first), "--to", "mrb", "-o", str(tmp_path / "a.mrb"), "--rate", "10"]) == 0
+    capsys.readouterr()
+    for words, told in (
+        (["--to", "mrb", "-o", str(tmp_path / "a.mcap")], "expected a scene of 3D Slicer: *.mrb"),
+        (["--to", "mrb", "-o", str(tmp_path / "b.mrb"), "--rate", "0"], "--rate: found 0, expected 0.001 to 1,000 Hz"),
+        (["--to", "csv", "-o", str(tmp_path / "t"), "--rate", "5"], "the option has no effect here"),
+        (["--to", "mrml", "-o", str(tmp_path / "b.mrml")], "expected a directory"),
+    ):
+        assert main(["export", recording, *words]) != 0
+        assert told in capsys.readouterr().err
