@@ -188,7 +188,7 @@ def run(options: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix="igtl-gateway-bench-") as folder:
         runner = Runner(Path(folder), clock, _print_status)
         for group in groups:
-            rows += merge_rounds([_measured(runner, group) for _ in range(options.rounds)])
+            rows += against_version_1(merge_rounds([_measured(runner, group) for _ in range(options.rounds)]))
         workshop = WorkContext(Path(folder), clock, _print_status, options.programs, tuple(options.against))
         for name in works:
             rows += merge_rounds([WORKS[name].run(workshop) for _ in range(options.rounds)])
@@ -217,7 +217,7 @@ class _Group:
 
 def _measured(runner: Runner, group: _Group) -> list[Row]:
     """One round."""
-    return against_version_1(with_costs([row | group.marks for plan in group.plans for row in runner.measure(plan)]))
+    return with_costs([row | group.marks for plan in group.plans for row in runner.measure(plan)])
 
 
 def _selected(options: argparse.Namespace) -> tuple[list[_Group], list[str]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from igtl_gateway_lab.bench.cases import CASES, FLOOD, PAYLOADS, TABLE_1, Direction
+from igtl_gateway_lab.bench.cases import CASES, FLOOD, PAYLOADS, SLICER, TABLE_1, Direction
 from tests.tables import table
 
 
@@ -12,7 +12,7 @@ def test_every_stream_has_a_name_of_its_own(name: str) -> None:
     devices = [stream.device(direction) for stream in streams for direction in Direction]
     assert len(set(devices)) == 2 * len(streams)
     assert all(len(device) <= 20 for device in devices)  # the field of the header
-    assert all(stream.kind in PAYLOADS for stream in streams)
+    assert all(stream.kind in {*PAYLOADS, *SLICER.values()} for stream in streams)
 
 
 def test_the_surgical_load_is_what_it_says() -> None:

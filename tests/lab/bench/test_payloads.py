@@ -9,7 +9,7 @@ from igtl_gateway.config.configuration import Config, ToIgtlRow
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.header import TICKS_AT
-from igtl_gateway_lab.bench.cases import PAYLOADS, BenchStream, Direction, payload
+from igtl_gateway_lab.bench.cases import PAYLOADS, SLICER, BenchStream, Direction, payload
 from tests.script import Script
 from tests.tables import table
 
@@ -70,6 +70,22 @@ def test_both_sides_say_the_same(kind: str) -> None:
     gateway.feed(Kind.ROS_IN, (bytes(made.ros_maker()(7)),), topic, made.ros_type)
     (frame,) = [entry.data() for entry in gateway.last if entry.kind is Kind.IGTL_OUT]
     assert len(frame) == len(made.igtl_maker(device)(7))
+
+
+@table("kind", [kind for kind in SLICER.values() if "fullhd" not in kind])
+def test_what_slicer_sends_goes_to_ros_with_its_number(kind: str) -> None:
+    made, stream = payload(kind), BenchStream(kind, 30.0)
+    gateway = Script(Config().watched())
+    gateway.up(1)
+    make, topic = made.igtl_maker(stream.device(Direction.IGTL_TO_ROS)), stream.topic(Direction.IGTL_TO_ROS)
+    for number in (0, 1, 4_321):
+        message = decode(make(number))
+        assert message.message_id == number and not message.ticks and len(message.metadata) == 4
+        gateway.feed(Kind.IGTL_IN, (bytes(make(number)),), link=1)
+        (entry,) = [entry for entry in gateway.last if entry.kind is Kind.ROS_OUT and entry.channel == topic]
+        assert made.forms[0].number(entry.data()) == number == made.forms[1].number(make(number))
+        beside = {entry.type.rpartition("/")[2] for entry in gateway.last if entry.kind is Kind.ROS_OUT}
+        assert beside & {"Metadata", "Volume", "PointList"}, "what contains the metadata"
 
 
 @pytest.mark.parametrize("kind", ["transform", "string-100", "points-10", "image-vga"])

@@ -29,7 +29,10 @@ from igtl_gateway_lab.bench.processes import BenchError
 pytestmark = pytest.mark.skipif(bool(lacks_probe()), reason=lacks_probe())
 
 #: One of each form of a number.
-KINDS = ["transform", "string-100", "points-10", "polydata-600k", "transform-n", "points-1000-n"]
+KINDS = [
+    *("transform", "string-100", "points-10", "polydata-600k", "transform-n", "points-1000-n"),
+    *("transform-s", "string-100-s", "points-10-s"),
+]
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +75,8 @@ def test_numbers_are_those_of_python(kind: str, loops: Probe) -> None:
                 sending.join()
                 assert form.number(message) == number
                 if form is made.forms[1]:
-                    decode(message)  # raises if the CRC is wrong
+                    decoded = decode(message)  # raises if the CRC is wrong
+                    assert decoded.message_id == (number if kind.endswith("-s") else 0)
             assert message == data
 
 

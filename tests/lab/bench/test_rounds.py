@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from igtl_gateway_lab.bench.figures import Row
-from igtl_gateway_lab.bench.rounds import merge_rounds, with_costs
+from igtl_gateway_lab.bench.rounds import against_version_1, merge_rounds, with_costs
 
 
 def row(p50: float, delivered: int = 10, recording: bool = False, **more: float) -> Row:
@@ -35,6 +35,15 @@ def test_medians_and_the_worst() -> None:
     assert (first["sent"], first["delivered"]) == (10, 8)
     assert [one["p50_ms"] for one in first["rounds"]] == [3.0, 1.0, 2.0]
     assert (first["case"], first["rate_hz"], second["recording"]) == ("transform", 30.0, True)
+
+
+def test_what_slicer_sends_is_compared_with_header_version_1() -> None:
+    figures = {"gateway_cpu_us_per_message": 100.0}
+    first, other = row(1.0, **figures) | {"case": "transform-n"}, row(1.0)
+    second = row(1.05, gateway_cpu_us_per_message=110.0) | {"case": "transform-s"}
+    found = against_version_1([first, second, other])
+    assert found[1]["version_1_p50_ratio"] == 1.05 and found[1]["version_1_cpu_ratio"] == 1.1
+    assert [found[0], found[2]] == [first, other]
 
 
 def test_what_was_not_measured_in_one_round() -> None:

@@ -56,6 +56,8 @@ def plans(monkeypatch: pytest.MonkeyPatch) -> list[BenchPlan]:
         (["--sweep", "clients", "--direction", "igtl-to-ros"], "--sweep clients goes the other way only"),
         (["--case", "transform", "--against", "x 'y"], "expected a command (No closing quotation)"),
         (["--case", "transform", "--against", "bridge 18944"], "found 'bridge 18944', expected {port} in it"),
+        (["--case", "transform", "--peer", "slicer"], "--peer slicer: found transform"),
+        (["--case", "transform-n", "--peer", "slicer", "--direction", "ros-to-igtl"], "found transform-n ros-to-igtl"),
         (["--case", "transform", "--flame", "x.svg"], "--flame: found 2 measurements, expected one"),
     ],
 )
