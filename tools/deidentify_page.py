@@ -81,7 +81,8 @@ Streams are named as in the recording: `TYPE/device` or the topic. A mask applie
 parts of an image at their place. JPEG and PNG are decoded, masked and encoded again, as are H.264 and VP9 (PyAV, the
 extra `video`). A masked picture that cannot be decoded or encoded again, such as H.265 or raw I420, is removed, and
 without PyAV all encoded pictures with a mask. JPEG, PNG, H.264, H.265 and AV1 without a mask lose their text
-(EXIF, comments, SEI, metadata, filling) and keep their pixels. A mask that is outside of a picture is reported.
+(EXIF, comments, SEI, metadata, filling) and keep their pixels. A mask that is outside of a picture is reported, as are
+rows of the profile that match nothing; if pictures are left without a mask beside such a mask, the exit code is 1.
 
 Make a rectangle 8 pixels larger than the text on each side: video stores colour at half the resolution, so yellow text
 leaves a coloured rim around itself. This was measured with yellow letters of 16 pixels in real ultrasound of tissue

@@ -71,6 +71,9 @@ if TYPE_CHECKING:
     from igtl_gateway.base.globs import matches as matches
     from igtl_gateway.base.near import did_you_mean as did_you_mean
     from igtl_gateway.base.near import near_names as near_names
+    from igtl_gateway.base.near import near_streams as near_streams
+    from igtl_gateway.base.near import unmatched as unmatched
+    from igtl_gateway.base.near import without_match as without_match
     from igtl_gateway.base.once import Once as Once
     from igtl_gateway.base.qos import Endpoint as Endpoint
     from igtl_gateway.base.qos import Qos as Qos
@@ -386,7 +389,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("base.globs", "matches"),
     ("base.free_names", "FreeNames"),
     ("base.distinct", "distinct_names numbered"),
-    ("base.near", "did_you_mean near_names"),
+    ("base.near", "did_you_mean near_names near_streams unmatched without_match"),
     ("replay.source", "check_recorded"),
     ("replay.state_before", "latched_before with_state"),
     ("base.once", "Once"),

@@ -10,6 +10,7 @@ from igtl_gateway.gateway.log.note import Note
 
 #: Time after the start, and after the first message of a peer, until a source is missed; interval of the looks.
 WAIT_NS, _EVERY_NS = 5 * NS_PER_S, 2 * NS_PER_S
+_OF_PEERS = frozenset({"device", "stream"})
 
 
 class AwaitedSources:
@@ -57,7 +58,7 @@ class AwaitedSources:
         absent = {each.source for each in missing}
         self._awaited = [each for each in self._awaited if each in absent or present.names(each.kind) is None]
         too_early = self._heard_ns is None or now_ns - self._heard_ns < WAIT_NS
-        self.missing = tuple(each for each in missing if not (too_early and each.source.kind == "device"))
+        self.missing = tuple(each for each in missing if not (too_early and each.source.kind in _OF_PEERS))
         for each in self.missing:
             if each.source not in self._noted:
                 self._noted.add(each.source)

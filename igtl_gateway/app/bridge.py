@@ -45,6 +45,7 @@ from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.silences import Silences
 from igtl_gateway.native.passage import Passage
 from igtl_gateway.record.admission import Admission
+from igtl_gateway.record.selection import Selection
 
 if TYPE_CHECKING:
     from igtl_gateway.record.recorder import Recorder
@@ -162,7 +163,10 @@ class Bridge:
                     has_budget=bool(options.site.name),
                 )
         self._memory = IdleMemory()
-        expected = expected_sources(config, options.record_topics if options.record else ())
+        chosen = options.recording.selection if options.record else Selection()
+        expected = expected_sources(
+            config, options.record_topics if options.record else (), chosen.include, chosen.exclude
+        )
         #: The configured sources that have not come.
         self.awaited = AwaitedSources(expected, self._present_sources, self.hub.note)
         self._silences = Silences()
@@ -367,13 +371,17 @@ class Bridge:
     def _present_sources(self) -> PresentSources:
         """Return the sources that are there; of ROS only if there is a graph."""
         self.collect()
-        sent = self.gateway.ledger.totals().get("igtl_in", {})
+        totals = self.gateway.ledger.totals()
+        sent = totals.get("igtl_in", {})
         topics = frames = None
         if self.ros:
             own = self.ros.full_name
             topics = {each.topic for each in self.ros.endpoints() if each.publishes and each.node != own}
             frames = self.gateway.frames()
-        return PresentSources(topics, frames, {name.partition("/")[2] for name in sent} or None)
+        devices = {name.partition("/")[2] for name in sent}
+        streams = {name for kind in totals.values() for name in kind}
+        streams |= {name.partition("/")[2] for name in streams if name[:1] != "/"} | (topics or set())
+        return PresentSources(topics, frames, devices or None, streams or None)
 
     def _recorded_qos(self, topic: str, ros_type: str) -> Qos | None:
         return self.gateway.qos(topic) or self.subscriptions.qos(topic, ros_type)

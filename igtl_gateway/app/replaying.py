@@ -32,7 +32,7 @@ from igtl_gateway.config.faults import LOSS, Fate, Faults
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.moment import check_part
-from igtl_gateway.replay.recorded_config import config_to_run, recorded_acceptance
+from igtl_gateway.replay.recorded_config import absent_sources, config_to_run, recorded_acceptance
 from igtl_gateway.replay.recorded_marks import marked_moment, marks_of
 from igtl_gateway.replay.restamp import Restamper
 from igtl_gateway.replay.shared_names import shared_names
@@ -160,6 +160,8 @@ def run_replay(path: Path, options: ReplayOptions, stop: Event, events: ReplayEv
             events.on_line(f"! --streams {fault}")
         for text in _mixed(file, how):
             events.on_line(f"! {text}")
+        for absent in absent_sources(file, config) if options.config and how.recompute else ():
+            events.on_line(f"? {absent}")
         events.on_line(f"{path}: {how.why}")
         pace = SessionTimeline(clock_steps_of(file))
         side = open_sides(options, file, how, stop, stack, events.on_line, relay=config.relay)

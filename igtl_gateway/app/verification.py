@@ -11,7 +11,7 @@ from igtl_gateway.base.version import __version__
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import LeafDecoder
-from igtl_gateway.replay.recorded_config import config_to_run, units_of
+from igtl_gateway.replay.recorded_config import absent_sources, config_to_run, units_of
 from igtl_gateway.replay.verify import DeclaredLosses, Difference, VerifyReport, verify
 
 #: Key of the version that recorded the session.
@@ -41,6 +41,7 @@ class Verification:
         firsts: first difference of each stream.
         differences: the first 1,000 differences.
         damaged_indexes: number of chunks whose index of messages is damaged: other programs do not find all messages.
+        absent: a sentence about each topic and device of another configuration that the recording does not have.
     """
 
     file: Path
@@ -59,6 +60,7 @@ class Verification:
     firsts: dict[str, Difference]
     differences: tuple[Difference, ...]
     damaged_indexes: int = 0
+    absent: tuple[str, ...] = ()
 
     @property
     def good(self) -> bool:
@@ -115,7 +117,10 @@ def verify_session(file: SessionFile, config_path: Path | None = None) -> Verifi
     counts = {each.name: getattr(report, each.name) for each in fields(VerifyReport)}
     counts["differences"] = tuple(report.differences)
     config_name = str(config_path) if config_path else RECORDED
-    return Verification(path, recorded_by, __version__, config_name, **counts, damaged_indexes=file.damaged_indexes())
+    absent = tuple(absent_sources(file, config)) if config_path else ()
+    return Verification(
+        path, recorded_by, __version__, config_name, **counts, damaged_indexes=file.damaged_indexes(), absent=absent
+    )
 
 
 def _config(path: Path, config_path: Path | None, file: SessionFile, recorded_by: str) -> Config:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 from igtl_gateway.app.bridge import Bridge
@@ -12,6 +12,8 @@ from igtl_gateway.app.note_rate import Event
 from igtl_gateway.app.passage import NATIVE_PASSAGE
 from igtl_gateway.app.ros_log import is_routine, note_text
 from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.globs import matches
+from igtl_gateway.base.near import did_you_mean, near_names
 from igtl_gateway.base.stamp import NS_PER_S, utc_text
 from igtl_gateway.base.systems import service
 from igtl_gateway.base.version import __version__
@@ -159,7 +161,7 @@ class TextOutput:
             print_line(f"metrics      {metrics.url}")
         if config.faults:
             print_line(f"faults       {config.faults}, seed {config.fault_seed} (fault injection)")
-        for line in (*denied_lines(config), *profiles(config)):
+        for line in (*denied_lines(config), *limit_lines(bridge.options.limits.bodies), *profiles(config)):
             print_line(line)
         if bridge.ros:
             for line in mapping(config):
@@ -312,9 +314,18 @@ def denied_lines(config: Config) -> list[str]:
     """Return the denied messages as lines, with a mark at a name that matches no known type: it might be misspelt."""
     lines = []
     for globs, way in ((config.deny_in, "from"), (config.deny_out, "to")):
-        known = [
-            glob if any(map(Denials([glob]).type, BODIES)) else f"{glob} (matches no known type)" for glob in globs
-        ]
-        if known:
+        if globs:
+            known = [glob + ("" if any(map(Denials([glob]).type, BODIES)) else _unknown(glob)) for glob in globs]
             lines.append(f"denied       {way} peers: {', '.join(known)}")
     return lines
+
+
+def limit_lines(bodies: Sequence[tuple[str, int]]) -> list[str]:
+    """Return a line about the limits of types (globs) that match no known type."""
+    unknown = [f"{glob}{_unknown(glob)}" for glob, _ in bodies if not any(matches(glob, name) for name in BODIES)]
+    return [f"max body     {', '.join(unknown)}"] if unknown else []
+
+
+def _unknown(glob: str) -> str:
+    question = did_you_mean(near_names(glob.upper(), sorted(name for name in BODIES if ("_" in name) == ("_" in glob))))
+    return f" (matches no known type{question and f'; {question}'})"

@@ -30,7 +30,7 @@ from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.replay.moment import check_part
-from igtl_gateway.replay.recorded_config import config_to_run
+from igtl_gateway.replay.recorded_config import absent_sources, config_to_run
 from igtl_gateway.replay.recorded_marks import carry_marks, marked_moment, marks_of
 from igtl_gateway.replay.slice import Slice, SliceReport, SliceWindow
 from igtl_gateway.replay.source import check_recorded
@@ -92,9 +92,10 @@ def run(options: argparse.Namespace) -> int:
         # without any, the part would have the state of the gateway only
         for fault in check_recorded([file], options.streams):
             print_line(f"! {fault}", error=True)
-        part = Slice(
-            file.entries, config_to_run(file.session, options.config), window, file.entries_starting_at, file.prologue()
-        )
+        config = config_to_run(file.session, options.config)
+        for absent in absent_sources(file, config) if options.config else ():
+            print_line(f"? {absent}", error=True)
+        part = Slice(file.entries, config, window, file.entries_starting_at, file.prologue())
         wanted = [mark for mark in marks() if _is_in(mark, window)]
         _write(file, part, window, options)
         # the window may begin before the first message in it, and end behind the last one

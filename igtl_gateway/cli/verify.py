@@ -162,6 +162,8 @@ def _print(result: Verification, everything: bool) -> None:
     versions = f"recorded by igtl-gateway {result.recorded_by or '(unknown)'}, verified by {result.verified_by}"
     configuration = "the recorded configuration" if result.config == RECORDED else result.config
     print_line(f"{result.file}: {versions} with {configuration}")
+    for each in result.absent:
+        print_line(f"? {each}")
     print_line(f"  {count_text(result.inputs, 'input')} processed, {count_text(result.outputs, 'output')} compared")
     if result.good and not result.outputs:
         print_line("nothing to verify: no outputs recorded, none computed")

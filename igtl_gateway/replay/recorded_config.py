@@ -9,9 +9,11 @@ from typing import Protocol
 from igtl_gateway.base.errors import ConfigError, DamagedRecording, UnsupportedRecording
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.acceptance import Acceptance
+from igtl_gateway.gateway.expected import PresentSources, expected_sources, missing_sources
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.stream_units import StreamUnits, arm_units
 from igtl_gateway.record.sessionfile import facts
+from igtl_gateway.record.sessionfile.reader import SessionFile
 
 
 class RecordedStream(Protocol):
@@ -49,6 +51,16 @@ def config_to_run(session: Mapping[str, str], path: Path | None = None) -> Confi
         if given:
             return given
         raise UnsupportedRecording(f"the recorded configuration cannot be used: {error}") from None
+
+
+def absent_sources(file: SessionFile, config: Config) -> list[str]:
+    """Return a sentence about each topic, arm and device of a configuration that a recording does not have."""
+    received = [each for each in file.channels if each.count and each.kind in (Kind.ROS_IN, Kind.IGTL_IN)]
+    topics = {each.topic for each in received if each.kind is Kind.ROS_IN}
+    streams = {each.stream for each in received if each.kind is Kind.IGTL_IN}
+    # streams that share a channel of a file have no name before they are read
+    devices = {name.partition("/")[2] for name in streams} if all(streams) else None
+    return [each.text for each in missing_sources(expected_sources(config), PresentSources(topics, None, devices))]
 
 
 def recorded_units(file: RecordedSession) -> StreamUnits:

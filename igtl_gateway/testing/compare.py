@@ -6,12 +6,14 @@ The messages of each stream are compared in their order: first the bytes, and if
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from igtl_gateway.base.globs import matches
+from igtl_gateway.base.near import unmatched
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.stream_units import StreamUnits
@@ -47,11 +49,12 @@ class _Rules:
 
 @dataclass(slots=True)
 class _Side:
-    """The messages of a session by stream, and their decoder."""
+    """The messages of a session by stream, the names of those that are left out, and the decoder."""
 
     name: str
     decoder: LeafDecoder
     streams: dict[_Stream, list[Entry]] = field(default_factory=dict)
+    ignored: set[str] = field(default_factory=set)
 
 
 def assert_session_equal(
@@ -72,10 +75,16 @@ def assert_session_equal(
         tolerance_mm: tolerance of positions and points in millimetres, independent of their unit.
         tolerance_deg: tolerance of rotations in degrees.
 
+    A glob of ``ignore`` that matches no stream of either session is a warning.
+
     Raises AssertionError with the first differences; UnsupportedRecording or DamagedRecording.
     """
     rules = _Rules(ignore, ignore_fields, Tolerance(tolerance_mm, tolerance_deg))
     one, other = _side(expected, rules), _side(found, rules)
+    names = {channel for side in (one, other) for _, channel in side.streams} | one.ignored | other.ignored
+    for glob in ignore:
+        if not any(matches(glob, name) for name in names):
+            warnings.warn(f"ignore {glob}: {unmatched(glob, names, 'stream of either session')}", stacklevel=2)
     differences: list[str] = []
     for stream in sorted(one.streams.keys() | other.streams.keys(), key=lambda stream: (stream[0].value, stream[1])):
         differences += _differences(stream, one, other, rules)
@@ -110,8 +119,11 @@ def _decoder(definitions: dict[str, str], config: Config) -> LeafDecoder:
 
 def _add_entries(entries: Iterable[Entry], rules: _Rules, side: _Side) -> None:
     for entry in entries:
-        if entry.kind in _KINDS and not any(matches(glob, entry.channel) for glob in rules.streams):
-            side.streams.setdefault((entry.kind, entry.channel), []).append(entry)
+        if entry.kind in _KINDS:
+            if any(matches(glob, entry.channel) for glob in rules.streams):
+                side.ignored.add(entry.channel)
+            else:
+                side.streams.setdefault((entry.kind, entry.channel), []).append(entry)
 
 
 def _differences(stream: _Stream, one: _Side, other: _Side, rules: _Rules) -> list[str]:

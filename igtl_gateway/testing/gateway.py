@@ -15,6 +15,7 @@ from typing import Any
 from igtl_gateway.base.buffers import Buffer, join
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.globs import matches
+from igtl_gateway.base.near import unmatched, without_match
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.version import __version__
 from igtl_gateway.config.configuration import Config
@@ -28,7 +29,7 @@ from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
-from igtl_gateway.replay.source import select_entries
+from igtl_gateway.replay.source import is_stream_of, select_entries
 from igtl_gateway.wire import Message, decode, encode
 
 #: Default time at which a session begins: 2026-01-01T00:00:00Z.
@@ -194,15 +195,15 @@ class ManualGateway:
     def play(self, recording: Path | str, streams: Sequence[str] = ()) -> Outputs:
         """Feed the inputs of a recording at their times; of messages only those of streams that match a glob.
 
-        Raises UnsupportedRecording or DamagedRecording.
+        Raises UnsupportedRecording or DamagedRecording; ConfigError for a glob that matches no recorded input.
         """
         first = len(self.log)
         with SessionFile.open(recording) as file:
+            wanted = _wanted(file, streams) if streams else None
             for group in input_groups(file.prologue()):
                 with self._session.judged(group.outputs):
                     self._replay(group.input)
             del self.log[first:]  # the prologue only sets the state; its outputs belong to the original session
-            wanted = {entry.seq for entry in select_entries(file.entries(), _MESSAGES_IN, streams)} if streams else None
             for entry in select_entries(file.entries(), _INPUTS):
                 if wanted is not None and entry.kind in _MESSAGES_IN and entry.seq not in wanted:
                     continue
@@ -243,6 +244,19 @@ class ManualGateway:
         )
         self.log += [replace(entry, payload=(entry.data(),)) for entry in entries]
         return Outputs(entries)
+
+
+def _wanted(file: SessionFile, streams: Sequence[str]) -> set[int]:
+    """Return the numbers of the input messages of some streams.  Raises ConfigError."""
+    names: set[str] = set()
+    numbers: set[int] = set()
+    for entry in select_entries(file.entries(), _MESSAGES_IN):
+        names.add(entry.channel)
+        if is_stream_of(entry.kind, entry.channel, streams):
+            numbers.add(entry.seq)
+    if wrong := [f"{glob}: {unmatched(glob, names, 'recorded input')}" for glob in without_match(streams, names)]:
+        raise ConfigError(f"streams: {'; '.join(wrong)}")
+    return numbers
 
 
 def config_of(config: Config | Path | str) -> Config:

@@ -59,7 +59,14 @@ def test_limits() -> None:
 def test_what_is_denied_is_said_and_slips_are_seen() -> None:
     assert bridge_output.denied_lines(Config()) == []
     lines = bridge_output.denied_lines(Config(deny_in=("command", "TRANFORM"), deny_out=("*",)))
-    assert lines == ["denied       from peers: command, TRANFORM (matches no known type)", "denied       to peers: *"]
+    slip = "TRANFORM (matches no known type; did you mean 'TRANSFORM' or 'QTRANS'?)"
+    assert lines == [f"denied       from peers: command, {slip}", "denied       to peers: *"]
+
+
+def test_a_limit_of_an_unknown_type_is_seen() -> None:
+    assert bridge_output.limit_lines((("STRING", 1), ("GET_*", 2))) == []
+    (line,) = bridge_output.limit_lines((("STRNG", 1), ("GET_*", 2)))
+    assert line == "max body     STRNG (matches no known type; did you mean 'STRING'?)"
 
 
 @pytest.mark.parametrize(

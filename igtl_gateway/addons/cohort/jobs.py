@@ -24,11 +24,13 @@ from igtl_gateway.addon import (
     UnsupportedRecording,
     WireError,
     cpu_time,
+    did_you_mean,
     files,
     layout,
     limits,
     marks_of,
     named,
+    near_streams,
     verify_session,
 )
 from igtl_gateway.addons.cohort.ends import (
@@ -343,7 +345,9 @@ def _sync(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
     further: Sequence[Sequence[str]] = settings["pairs"]
     absent = [name for name in (*names, *(name for pair in further for name in pair)) if name not in recording]
     if absent:
-        raise GatewayError(f"{file.path}: found no stream {absent[0]!r}, expected it by --stream or --pair")
+        question = did_you_mean(near_streams(absent[0], recording))
+        expected = f"expected it by --stream or --pair{question and f'; {question}'}"
+        raise ConfigError(f"{file.path}: found no stream {absent[0]!r}, {expected}")
     signals = [movement(recording[name]) for name in names] if names else movements([recording], unreadable=WireError)
     if len(signals) < 2:
         raise GatewayError(f"{file.path}: found {len(signals)} streams in which something could move, expected two")

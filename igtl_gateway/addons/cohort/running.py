@@ -34,6 +34,7 @@ class RunSummary:
         ends: ``status`` → number of files of this run.
         reasons: ``status`` → the error of the first of these files.
         different: files whose outputs differ (``verify``), or with a finding of severity error (``lint``).
+        ends_before: ``status`` → number of files that had it before.
     """
 
     files: int
@@ -41,11 +42,17 @@ class RunSummary:
     ends: Counter[str] = field(default_factory=Counter)
     reasons: dict[str, str] = field(default_factory=dict)
     different: int = 0
+    ends_before: Counter[str] = field(default_factory=Counter)
 
     @property
     def done(self) -> int:
         """Number of files that this run has done."""
         return sum(self.ends.values())
+
+    @property
+    def is_nothing(self) -> bool:
+        """Whether there was nothing to do in any file, now or before."""
+        return {*self.ends, *self.ends_before} - {ends.UNCHANGED} == {ends.NOTHING}
 
     @property
     def failed(self) -> int:
@@ -81,6 +88,7 @@ def run_cohort(
             if row and row["version"] == __version__ and row["settings"] == work.text and row["status"] in ends.FINAL:
                 if row["mark"] == each.mark and each.mark:
                     summary.before += 1
+                    summary.ends_before[row["status"]] += 1
                     continue
                 todo.append((each, row["content"] or ""))
             else:
@@ -118,6 +126,7 @@ def _do(
             for (file, _), reply in replies:
                 if reply["status"] == ends.UNCHANGED:
                     rows.setdefault("tasks", []).append(known[file.shown] | {"mark": file.mark})
+                    summary.ends_before[known[file.shown]["status"]] += 1
                 else:
                     _add(rows, work, file, reply)
                 summary.ends[reply["status"]] += 1

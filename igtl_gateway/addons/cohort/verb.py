@@ -47,13 +47,15 @@ EXAMPLES = """\
 
 What is done is not done again.  Exit code 0: every file has a result;
 1: a file has none (see the table tasks), or outputs differ, or lint finds
-errors.  Tables and columns: docs/how-to/cohort.md"""
+errors, or no file has what the options name.
+Tables and columns: docs/how-to/cohort.md"""
 
 QUERY, REPORT = "query", "report"
 _FIRST_QUESTION = "SELECT status, count(*) n FROM tasks GROUP BY status"
 _ACTIONS = (*VERB_NAMES, QUERY, REPORT)
 #: Verb → options that only it has.
 _OF_A_VERB = {"review": ("plan", "cloud", "tool"), "sync": ("stream", "pair", "max_lag")}
+_NAMES = ("plan", "cloud", "tool", "stream", "pair")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -188,6 +190,8 @@ def _run_files(options: argparse.Namespace) -> int:
     )
     with Progress(quiet=options.json) as progress:
         summary = run_cohort(work, files, results, where, progress)
+    # without a name, nothing to do is a result: a folder may have sessions without a plan
+    is_nowhere = summary.is_nothing and any(getattr(options, name) for name in _NAMES)
     if options.json:
         facts = {"files": summary.files, "done_before": summary.before, "ends": dict(sorted(summary.ends.items()))}
         print_json({"out": str(options.output), "verb": work.verb, **facts, "different": summary.different})
@@ -196,13 +200,15 @@ def _run_files(options: argparse.Namespace) -> int:
         for status, number in sorted(summary.ends.items()):
             reason = summary.reasons.get(status)
             print_line(f"  {number:>7,} {status.replace('_', ' ')}" + (f": {reason}" if reason else ""))
+        if is_nowhere:
+            print_line("  no file has what the options name")
         if summary.different:
             print_line(f"  {summary.different:>7,} with {'differences' if work.verb == 'verify' else 'errors'}")
         print_next(
             (command("cohort", QUERY, _FIRST_QUESTION, "-o", options.output), "ask the tables"),
             (command("cohort", REPORT, "-o", options.output, "--html", "report.html"), "write a page about them"),
         )
-    return int(bool(summary.failed or summary.different))
+    return int(bool(summary.failed or summary.different or is_nowhere))
 
 
 def _check(options: argparse.Namespace) -> None:

@@ -9,6 +9,7 @@ from igtl_gateway.addons.deidentify.pixels import PixelCleaner
 from igtl_gateway.addons.deidentify.profile import Profile
 from igtl_gateway.addons.deidentify.pseudonyms import WORDS, Pseudonyms, TimeShift
 from igtl_gateway.addons.deidentify.report import Report
+from igtl_gateway.addons.deidentify.unused import Asked
 from igtl_gateway.convert.table import TO_ROS
 
 
@@ -32,6 +33,7 @@ class Context:
         profile: what may stay.
         names, times: pseudonyms and the shift.
         report: counts.
+        asked: what the profile was asked about.
         pixels: masks of pictures.
     """
 
@@ -39,6 +41,7 @@ class Context:
     names: Pseudonyms
     times: TimeShift
     report: Report
+    asked: Asked = field(default_factory=Asked)
     pixels: PixelCleaner = field(init=False)
 
     @classmethod
@@ -47,14 +50,16 @@ class Context:
         report = Report(kept_times=shift_ns == 0)
         words = WORDS | {row.kind for row in TO_ROS}
         names = Pseudonyms(key, profile.names, profile.keep_names, words, lambda: report.add("name"))
+        asked = Asked(names=names.asked)
         times = TimeShift(names.shift_ns() if shift_ns is None else shift_ns, lambda: report.add("time"))
-        return cls(profile, names, times, report)
+        return cls(profile, names, times, report, asked)
 
     def __post_init__(self) -> None:
-        self.pixels = PixelCleaner(self.profile, self.report)
+        self.pixels = PixelCleaner(self.profile, self.report, self.asked.streams)
 
     def text(self, text: str, stream: str) -> str:
         """Return the new text of a stream."""
+        self.asked.streams.add(stream)
         new = self.profile.text_rule(stream).apply(text) if text else text
         if new != text:
             self.report.add("text")
@@ -74,10 +79,12 @@ class Context:
 
     def keeps_type(self, name: str) -> bool:
         """Return whether the profile keeps messages of a type without a known layout."""
+        self.asked.types.add(name)
         return any(matches(glob, name) for glob in self.profile.keep_types)
 
     def keeps_key(self, key: str) -> bool:
         """Return whether the profile keeps a key of metadata."""
+        self.asked.keys.add(key)
         return any(matches(glob, key) for glob in self.profile.keep_metadata)
 
     def stream_name(self, stream: str) -> str:

@@ -36,10 +36,11 @@ _AV1_UNITS = frozenset({1, 2, 3, 4, 6, 7})
 
 
 class PixelCleaner:
-    """Changes the pictures of a session by the masks of a profile."""
+    """Changes the pictures of a session by the masks of a profile; adds the names of their streams to ``streams``."""
 
-    def __init__(self, profile: Profile, report: Report) -> None:
+    def __init__(self, profile: Profile, report: Report, streams: set[str] | None = None) -> None:
         self._profile, self._report = profile, report
+        self._streams = set() if streams is None else streams
         self._videos: dict[str, MaskedVideo] = {}
 
     def plain(
@@ -88,6 +89,7 @@ class PixelCleaner:
         return new
 
     def _mask(self, stream: str) -> Mask | None:
+        self._streams.add(stream)
         mask = self._profile.mask(stream)
         if mask is None:
             self._report.left["pixels"] = "no mask for some streams of pictures: text that is burnt in stays"

@@ -46,6 +46,7 @@ class Pseudonyms:
         words: further names that stay, of the conversion table.
         changed: called with each name that is replaced.
         full: name cut to 20 bytes → full name, as far as the session has shown it.
+        asked: the names, and their parts, that the profile may have.
     """
 
     key: bytes
@@ -54,6 +55,7 @@ class Pseudonyms:
     words: frozenset[str] = WORDS
     changed: Callable[[], None] = lambda: None
     full: dict[str, str] = field(default_factory=dict)
+    asked: set[str] = field(default_factory=set)
     _owners: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -100,6 +102,7 @@ class Pseudonyms:
         """Return the new name of a name that stays or that the profile has; None for any other."""
         if not name or name in self.words:
             return name
+        self.asked.add(name)
         if name in self.given:
             return self._own(self.given[name], name)
         return self._own(name, name) if any(matches(glob, name) for glob in self.kept) else None

@@ -19,13 +19,14 @@ class Report:
         removed: new name of the stream → number of removed messages.
         left: what was left → reason.
         kept_times: whether the times are those of the recording.
-        masked: whether every stream of pictures has a mask.
+        unused: row of the profile that matches nothing → question with names of the recording, for the screen only.
     """
 
     rules: Counter[str] = field(default_factory=Counter)
     streams: dict[str, Counter[str]] = field(default_factory=dict)
     removed: Counter[str] = field(default_factory=Counter)
     left: dict[str, str] = field(default_factory=dict)
+    unused: dict[str, str] = field(default_factory=dict)
     kept_times: bool = False
     inputs: int = 0
     outputs: int = 0
@@ -49,6 +50,11 @@ class Report:
             codes.add("113111")
         return {code: OPTIONS[code] for code in sorted(codes)}
 
+    @property
+    def may_miss_pictures(self) -> bool:
+        """Whether pictures are left without a mask, and a mask of the profile matches no stream."""
+        return "pixels" in self.left and any(place.startswith("mask") for place in self.unused)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the report as JSON values; it has no name of the recording."""
         return {
@@ -63,5 +69,6 @@ class Report:
             "streams": {name: dict(sorted(counts.items())) for name, counts in sorted(self.streams.items())},
             "removed": dict(sorted(self.removed.items())),
             "left": dict(sorted(self.left.items())),
+            "unused": sorted(self.unused),
             "not_covered": list(NOT_COVERED),
         }  # fmt: skip

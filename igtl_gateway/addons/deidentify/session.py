@@ -48,6 +48,7 @@ from igtl_gateway.addons.deidentify.notes import clean_mark, clean_note
 from igtl_gateway.addons.deidentify.profile import Profile
 from igtl_gateway.addons.deidentify.report import Report
 from igtl_gateway.addons.deidentify.ros import RosCleaner, bare_definition
+from igtl_gateway.addons.deidentify.unused import unused_rows
 from igtl_gateway.app.sealing import SealVerification, verify_seal
 from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.gateway.metadata import FULL_NAME, restore_metadata
@@ -157,6 +158,7 @@ class _Run:
         seq, stamp_ns = 0, 0
         for entry in self._cleaned(self._inputs()):
             seq, stamp_ns = self._add(writer, session, entry, seq, stamp_ns)
+        self.report.unused = unused_rows(self._context.profile, self._context.asked)
         self._add(writer, session, self._note(stamp_ns), seq, stamp_ns)
         writer.close({} if self._is_import else {"streams": session.gateway.ledger.to_dict()})
 
@@ -233,6 +235,8 @@ class _Run:
         topics: set[str] = set()
         addresses: set[str] = set()
         for entry in chain(self._prologue(), self._inputs()):
+            if entry.kind in _INPUTS:
+                self._context.asked.streams.add(entry.channel)
             self._look_at(entry, devices, topics, addresses)
         return SeenNames(devices, topics, addresses)
 

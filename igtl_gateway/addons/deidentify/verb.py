@@ -41,7 +41,10 @@ EXAMPLES = """\
 
 The result verifies: inputs are changed, outputs are computed again.  The report
 names each rule with its option of DICOM PS3.15, what was left, and what no
-rule covers, such as faces in volumes.  See docs/how-to/deidentify.md."""
+rule covers, such as faces in volumes.  See docs/how-to/deidentify.md.
+
+exit code 1 if pictures are left without a mask, and a mask of the profile
+matches no stream."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
         print_json({"file": str(options.output), **report.to_dict()})
     else:
         _print(options.output, report)
-    return 0
+    return int(report.may_miss_pictures)
 
 
 def _key(path: Path | None) -> bytes:
@@ -107,6 +110,8 @@ def _print(out: Path, report: Report) -> None:
         print_line(f"removed: {count_text(number, 'message')} of {stream}")
     for what, why in facts["left"].items():
         print_line(f"left: {what}: {why}")
+    for place, question in report.unused.items():
+        print_line(f"profile: {place} matches nothing in the recording" + (f"; {question}" if question else ""))
     for each in NOT_COVERED:
         print_line(f"not covered: {each}")
     for code, meaning in facts["options"].items():

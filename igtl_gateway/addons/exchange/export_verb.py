@@ -30,7 +30,7 @@ from igtl_gateway.addon import (
     with_state,
 )
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
-from igtl_gateway.addons.exchange.selection import bare_glob
+from igtl_gateway.addons.exchange.selection import bare_glob, sides_without_match
 from igtl_gateway.addons.exchange.source import MESSAGES
 from igtl_gateway.addons.exchange.targets import TARGETS, export_to
 
@@ -109,6 +109,10 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError(f"-o: {error}") from None
     with SessionFile.open(options.file) as file:
         faults = check_recorded([file], [bare_glob(glob) for glob in options.streams])
+        faults += [
+            f"--streams {glob}: the stream is recorded, but not on this side or by this link"
+            for glob in sides_without_match(file, options.streams)
+        ]
         try:
             account = export_to(options.to, with_state(file), options.output, options.streams, gap_ns, rate)
         except OSError as error:

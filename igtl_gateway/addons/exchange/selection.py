@@ -9,7 +9,7 @@ from typing import Protocol
 
 from mcap.records import Attachment, Metadata
 
-from igtl_gateway.addon import Definition, Entry, Kind, Qos, RecordedStamps, WireError, matches
+from igtl_gateway.addon import Definition, Entry, Kind, Qos, RecordedStamps, SessionFile, WireError, matches
 from igtl_gateway.addon.igtl import HEADER_SIZE, ExtendedHeader, Header
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
 
@@ -166,6 +166,23 @@ def matches_stream(channel: str, kind: Kind, globs: Sequence[str], links: Sequen
         return True
     names = (channel, channel.partition("/")[2]) if kind in IGTL_KINDS else (channel,)
     return any(_fits(glob, name, kind, links) for glob in globs for name in names)
+
+
+def sides_without_match(file: SessionFile, globs: Sequence[str]) -> list[str]:
+    """Return the globs with a side or a link whose stream is recorded, but not on this side or by this link."""
+    sided = [glob for glob in globs if bare_glob(glob) != glob]
+    if not sided:
+        return []
+    none: tuple[int, ...] = ()
+    streams = {(each.kind, each.stream or each.topic, none) for each in file.channels if each.count}
+    if any(_PEER.search(glob) for glob in sided):
+        streams |= {(each.kind, each.channel, each.links) for each in file.entries_of_kinds(IGTL_KINDS)}
+    return [
+        glob
+        for glob in sided
+        if any(matches_stream(channel, kind, [bare_glob(glob)]) for kind, channel, _ in streams)
+        and not any(matches_stream(channel, kind, [glob], links) for kind, channel, links in streams)
+    ]
 
 
 def bare_glob(glob: str) -> str:

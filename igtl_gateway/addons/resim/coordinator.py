@@ -190,6 +190,8 @@ class Coordinator:
         self._targets: dict[str, Receivers] = {}  # topic → who receives its recorded messages
         self._published_topics: Counter[str] = Counter()
         self._announced: set[tuple[str, str]] = set()
+        #: Topics of the recording; topics and services of the programs.
+        self.named = {*topics}
         self.refused: dict[str, str] = {}
         #: Topic → recorded messages that went to programs.
         self.delivered: Counter[str] = Counter()
@@ -475,6 +477,7 @@ class Coordinator:
     def _entity(self, peer: Peer, frame: EntityFrame) -> None:
         if frame.is_made:
             peer.entities[frame.number] = Entity(frame)
+            self.named.add(frame.name)
         else:
             peer.entities.pop(frame.number, None)
         self._targets.clear()

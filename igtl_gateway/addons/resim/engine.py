@@ -26,6 +26,8 @@ from igtl_gateway.addon import (
     did_you_mean,
     matches,
     near_names,
+    unmatched,
+    without_match,
 )
 from igtl_gateway.addons.resim.coordinator import Coordinator, Lost, Peer, ProgramFault, Roles
 from igtl_gateway.addons.resim.frames import ABI_VERSION, DEADLINE, INPUT, NEVER, Hello, Remark, welcome
@@ -173,6 +175,7 @@ class Run:
         unserved: service → requests that neither a program nor the recording answered.
         refused: topic → why a program did not receive it.
         lost: messages that full queues of programs have dropped, in the order of their first ones.
+        named: topics of the recording, and those that programs published or asked for.
         events: number of events.
         start_ns, end_ns: session time, UTC ns; the end is where it stopped.
         remarks: what weakens the guarantee: sockets of a program, a GPU.
@@ -187,6 +190,7 @@ class Run:
     unserved: dict[str, int] = field(default_factory=dict)
     refused: dict[str, str] = field(default_factory=dict)
     lost: list[Lost] = field(default_factory=list)
+    named: frozenset[str] = frozenset()
     events: int = 0
     start_ns: int = 0
     end_ns: int = 0
@@ -242,7 +246,7 @@ def run(
         on_run: called after each run.
 
     Raises:
-        ConfigError: nothing to run, another middleware, or an invalid folder.
+        ConfigError: nothing to run, another middleware, an invalid folder, or inputs that are not recorded.
         Unavailable: the library is not built on this machine.
         RecordingError: the recording cannot be read.
         KeyboardInterrupt: Ctrl-C; the programs have ended, and the files of outputs are closed.
@@ -268,6 +272,7 @@ def run(
             if program.igtl
         }
     _check_links(programs, replaced)
+    _check_inputs(recording, replaced, options)
     result = RunResult(recording, links=frozenset(each.number for each in replaced.values()))
     for number in range(1, options.runs + 1):
 
@@ -279,6 +284,8 @@ def run(
         one = Run(number, run_file(folder, number))
         result.runs.append(one)
         _run_once(recording, programs, replaced, options, library, one, take)
+        if number == 1 and not one.fault:
+            one.fault = _matches_nothing(one, options)
         on_run(one)
         if one.fault:
             break
@@ -296,6 +303,28 @@ def _check_links(programs: Sequence[Program], replaced: Mapping[int, RecordedLin
                 f"{programs[index].title} (program {index + 1}): found link {link.number}, which {whose} has, "
                 "expected another link"
             )
+
+
+def _check_inputs(recording: Path, replaced: Mapping[int, RecordedLink], options: ResimOptions) -> None:
+    """Raise ConfigError if one of the inputs matches no recorded topic: nothing would drive it."""
+    if not options.inputs:
+        return
+    with SessionFile.open(recording) as file:
+        names = {*topics_of(file), *(name for each in replaced.values() for name in each.topics())}
+    without = without_match(options.inputs, names)
+    if wrong := [f"--input {glob}: {unmatched(glob, names, 'recorded topic')}" for glob in without]:
+        raise ConfigError("; ".join(wrong))
+
+
+def _matches_nothing(one: Run, options: ResimOptions) -> str:
+    """What is wrong with outputs, and with topics to run without, that nothing has had in a run; ``""`` for nothing."""
+    names = {*one.named, *(name.partition(IN_ACTION)[0] for name in one.named), *OF_EVERY_NODE}
+    what = "topic of the recording or of a program"
+    return "; ".join(
+        f"{option} {glob}: {unmatched(glob, names, what)}"
+        for option, globs in (("--output", options.outputs), ("--without", options.without))
+        for glob in without_match(globs, names)
+    )
 
 
 def run_file(folder: Path, number: int) -> Path:
@@ -414,6 +443,7 @@ def _run_once(
                 one.lost = sorted(coordinator.lost.values(), key=lambda each: each.first_ns)
                 one.delivered, one.unserved = dict(coordinator.delivered), dict(coordinator.unserved)
                 one.refused, one.events = dict(coordinator.refused), coordinator.events
+                one.named = frozenset(coordinator.named)
             one.remarks = sorted(watch.remarks)
             outputs.close()
             one.streams = outputs.streams

@@ -9,7 +9,7 @@ Memory is bounded: of each stream at most twice ``clouds`` clouds are kept, even
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -17,7 +17,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import NS_PER_S, ConfigError, ConversionError, Entry, GatewayError, Kind, StreamTimes
+from igtl_gateway.addon import (
+    NS_PER_S,
+    ConfigError,
+    ConversionError,
+    Entry,
+    GatewayError,
+    Kind,
+    StreamTimes,
+    did_you_mean,
+    near_streams,
+)
 from igtl_gateway.addon.ros import PointCloud2
 from igtl_gateway.addons.review.addon import NO_CLOUD, NO_PLAN
 from igtl_gateway.addons.review.frames import FramePoses
@@ -93,6 +103,7 @@ class Material:
         self._clouds: dict[str, _Clouds] = {}
         self._plans: dict[str, list[DrawnPlan]] = {}
         self._bad: set[str] = set()
+        self._others: dict[str, set[str]] = {"cloud": set(), "plan": set()}  # topics that were not selected
 
     def take(self, entry: Entry) -> None:
         """Read an entry; only ROS messages are used."""
@@ -115,7 +126,11 @@ class Material:
         elif entry.type == PointCloud2.TYPE and is_large_cloud(entry.data()):
             if not self._cloud or entry.channel == self._cloud:
                 self._clouds.setdefault(entry.channel, _Clouds(self._limit, self._unit_m)).add(entry)
-        elif entry.type in PLANS and (not self._plan or entry.channel == self._plan):
+            else:
+                self._others["cloud"].add(entry.channel)
+        elif entry.type in PLANS and self._plan not in ("", entry.channel):
+            self._others["plan"].add(entry.channel)
+        elif entry.type in PLANS:
             versions = self._plans.setdefault(entry.channel, [])
             if len(versions) < _MAX_VERSIONS and (drawn := plan_of(entry)):
                 drawn = replace(drawn, entry=drawn.entry * self._unit_m, exit=drawn.exit * self._unit_m)
@@ -127,7 +142,8 @@ class Material:
         streams = {topic: stream for topic, stream in self._clouds.items() if stream.kept}
         if not streams:
             if self._cloud:
-                raise ConfigError(f"--cloud {self._cloud}: found no sensor_msgs/PointCloud2 with x, y, z on this topic")
+                what = "found no sensor_msgs/PointCloud2 with x, y, z on this topic"
+                raise ConfigError(f"--cloud {self._cloud}: {what}{_question(self._cloud, self._others['cloud'])}")
             raise GatewayError(f"{NO_CLOUD}, expected a sensor_msgs/PointCloud2 stream: see `info`, --cloud")
         topic = max(streams, key=lambda name: streams[name].rank)
         stream = streams[topic]
@@ -155,7 +171,8 @@ class Material:
             if unplaced:
                 raise GatewayError(f"found no plan whose place is known: {'; '.join(self.notes)}")
             if self._plan:
-                raise ConfigError(f"--plan {self._plan}: found no pairs of points on this topic")
+                question = _question(self._plan, self._others["plan"])
+                raise ConfigError(f"--plan {self._plan}: found no pairs of points on this topic{question}")
             raise GatewayError(
                 f"{NO_PLAN}, expected pairs of points on the tissue (Marker LINE_LIST, TrajectoryList, "
                 "PolyData, PointList, small PointCloud2): see `info`, --plan"
@@ -189,6 +206,7 @@ class Material:
             known = ", ".join(f"{topic} ({child})" for child, topic in found.items()) or "a moving frame"
             raise ConfigError(
                 f"--tool {self._tool}: found no such moving frame connected with {base!r}, expected {known}"
+                + _question(self._tool, {*found, *found.values()})
             )
         return named
 
@@ -222,6 +240,12 @@ class Material:
             else:
                 self.note(f"{plan.topic}: left out where the pose of its frame {plan.frame_id!r} is not known")
         return found
+
+
+def _question(name: str, names: Iterable[str]) -> str:
+    """Return the question about names that are near to a wrong one, behind a text; "" without any."""
+    question = did_you_mean(near_streams(name, names))
+    return f"; {question}" if question else ""
 
 
 def _on_tissue(plan: DrawnPlan, scene: DepthScene) -> bool:

@@ -26,6 +26,8 @@ from igtl_gateway.addon import (
     aligned,
     check_target,
     default,
+    did_you_mean,
+    near_streams,
     new_recording,
     output_file,
     print_json,
@@ -161,6 +163,11 @@ def _check(options: argparse.Namespace) -> None:
 
 def _signals(opened: Sequence[Recording], options: argparse.Namespace) -> list[Signal]:
     """Return the movements of the requested streams, or of all inputs that have one."""
+    chosen = [stream_named(opened, name) for name in options.streams] or [
+        each[name] for each in opened for name in each
+    ]
+    if options.frame and not any(each.type in POSES_BY_NAME for each in chosen):
+        raise ConfigError(f"--frame {options.frame}: found no stream with several poses: the option has no effect here")
     if options.streams:
         return [_movement(stream_named(opened, name), options) for name in options.streams]
     return movements(opened, frame=options.frame, line=options.line)
@@ -172,7 +179,10 @@ def stream_named(opened: Sequence[Recording], name: str) -> Stream:
         if name in each:
             return each[name]
     files, names = (", ".join(map(str, words)) for words in ([each.path for each in opened], chain(*opened)))
-    raise GatewayError(f"{files}: found no stream {name!r}, expected one of {names}")
+    question = did_you_mean(near_streams(name, chain(*opened)))
+    raise GatewayError(
+        f"{files}: found no stream {name!r}" + (f"; {question}" if question else f", expected one of {names}")
+    )
 
 
 def _pairs(opened: Sequence[Recording], options: argparse.Namespace) -> list[tuple[Signal, Signal]]:

@@ -38,6 +38,7 @@ from igtl_gateway.addon import (
     count_text,
     cpu_time,
     default,
+    did_you_mean,
     is_present,
     is_terminal,
     latched_before,
@@ -45,6 +46,7 @@ from igtl_gateway.addon import (
     marked_moment,
     marks_of,
     missing,
+    near_names,
     output_file,
     part_of,
     print_json,
@@ -300,6 +302,11 @@ def _draw(
         "without_time": dict(sorted(facts.timeless.items())),
         "clocks": view.clocks(),
         "reported": [f"reported by {each}" for each in reported],
+        "without_joints": [
+            namespace
+            for namespace, _ in map(_robot, options.urdf)
+            if namespace and not any(f"{topic}/".startswith(f"/{namespace.strip('/')}/") for topic in view.seen.shown)
+        ],
         "without_field": bool(options.colour_by) and options.colour_by not in view.seen.fields,
     }
 
@@ -402,9 +409,17 @@ def _print(options: argparse.Namespace, path: Path, view: SessionView, facts: di
         )
     for text in (*facts["clocks"], *facts["reported"]):
         print_line(f"? {text}")
+    for namespace in facts["without_joints"]:
+        joints = {topic.rpartition("/")[0] for topic, shown in view.seen.shown.items() if "Joint" in shown.ros_type}
+        question = did_you_mean(near_names(namespace, joints))
+        print_line(
+            f"? --urdf {namespace}: found no topic below it: nothing moves the robot{question and f'; {question}'}"
+        )
     if facts["without_field"]:
         fields = ", ".join(sorted(view.seen.fields)) or "none"
-        print_line(f"? --colour-by: found no cloud with a field {options.colour_by!r}, expected one of: {fields}")
+        question = did_you_mean(near_names(options.colour_by, view.seen.fields))
+        expected = f"expected one of: {fields}{question and f'; {question}'}"
+        print_line(f"? --colour-by: found no cloud with a field {options.colour_by!r}, {expected}")
     all_of_them = count_text(facts["messages"], "message")
     drawn = all_of_them if facts["drawn"] == facts["messages"] else f"{facts['drawn']:,} of {all_of_them}"
     print_line(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.addon import Qos
+from igtl_gateway.addon import GatewayError, Qos
 from igtl_gateway.addons.resim.api import resim
 from igtl_gateway.cli import main
 from tests.addons.resim import sessions
@@ -63,6 +63,31 @@ def test_silence_in_json_and_in_python(tmp_path: Path, capsys: pytest.CaptureFix
     found = resim(path, command, runs=1)
     assert not found.is_equal
     assert found.first and (found.first.stream, found.first.what) == ("/state", "silent")
+
+
+@pytest.mark.parametrize(
+    ("options", "near"),
+    [(["--output", "/rosuot"], "/rosout"), (["--output", "/stat"], "/state"), (["--without", "/inn"], "/in")],
+)
+def test_a_topic_with_a_mistake_cannot_be_judged(
+    tmp_path: Path, options: list[str], near: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, command = recording(tmp_path / "in.mcap"), [*program("quiet", "all").command]
+    words = ["resim", str(path), "--runs", "1", *options]
+    assert main([*words, "--json", "--", *command]) == 2
+    fault = json.loads(capsys.readouterr().out)["fault"]
+    assert fault.startswith(f"{' '.join(options)}: matches no topic of the recording or of a program") and near in fault
+    wrong = options[1]
+    outputs, without = ((wrong,), ()) if options[0] == "--output" else ((), (wrong,))
+    found = resim(path, command, runs=1, outputs=outputs, without=without)
+    assert not found.is_equal and options[1] in str(found)
+    with pytest.raises(GatewayError, match=r"--input /im: matches no recorded topic; did you mean '/in'\?"):
+        resim(path, command, inputs="/im")
+
+
+def test_a_topic_that_is_there_may_be_named_without_need(tmp_path: Path) -> None:
+    path, command = recording(tmp_path / "in.mcap"), [*program("quiet", "all").command]
+    assert resim(path, command, runs=1, without="/in", outputs=["/rosout", "/st*"], inputs="/in").is_equal
 
 
 def test_a_baseline_with_an_output_that_is_silent_now(tmp_path: Path) -> None:

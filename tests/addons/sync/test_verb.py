@@ -235,7 +235,7 @@ def test_the_library_of_charts_is_missing_before_the_search(
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (["TRANSFORM/Prob", "IMAGE/Video"], "found no stream 'TRANSFORM/Prob', expected one of"),
+        (["TRANSFORM/Prob", "IMAGE/Video"], "found no stream 'TRANSFORM/Prob'; did you mean 'TRANSFORM/Probe'"),
         (["TRANSFORM/Probe"], "found 1 streams in which something could move, expected two"),
         (["--max-lag", "0"], "--max-lag: found 0, expected more than 0"),
         (
