@@ -59,7 +59,7 @@ def test_limits() -> None:
 def test_what_is_denied_is_said_and_slips_are_seen() -> None:
     assert bridge_output.denied_lines(Config()) == []
     lines = bridge_output.denied_lines(Config(deny_in=("command", "TRANFORM"), deny_out=("*",)))
-    slip = "TRANFORM (matches no known type; did you mean 'TRANSFORM' or 'QTRANS'?)"
+    slip = "TRANFORM (matches no known type; did you mean 'TRANSFORM'?)"
     assert lines == [f"denied       from peers: command, {slip}", "denied       to peers: *"]
 
 
