@@ -1,4 +1,4 @@
-"""A name with a mistake is never exit code 0 without a word: each option of each verb that names something recorded.
+"""A name with a mistake is never silent with exit code 0: each option of each verb that names something recorded.
 
 Strategy: one table of commands; each has one wrong name.  The command fails, or its output has the wrong name; where a
 near name exists, the output has it.  The parsers have all options, so an option that is new needs a row.
@@ -105,7 +105,7 @@ ELSEWHERE = {
     ).split()),
     # with real programs: tests/addons/resim/test_quiet.py
     "resim --output", "resim --without",
-    # a new name, a rule of ages, a time that is no mark
+    # a new name, a rule of ages, a date
     "mark --who", "keep --retention", "retain --retention", "upload --retention", "import --epoch",
     # closed lists that argparse checks
     "bench --case", "bench --sweep",

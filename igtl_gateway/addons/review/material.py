@@ -243,7 +243,7 @@ class Material:
 
 
 def _question(name: str, names: Iterable[str]) -> str:
-    """Return the question about names that are near to a wrong one, behind a text; "" without any."""
+    """Return the question about names that are near to a wrong one, as the end of a line; "" without any."""
     question = did_you_mean(near_streams(name, names))
     return f"; {question}" if question else ""
 
