@@ -254,6 +254,7 @@ UNMIRRORED = (
     "record/test_ring_model.py",  # shared_queue.py against a model
     "record/test_node_reader.py",  # our files in a reader of another language
     "test_costs.py",  # all stages of a message
+    "test_mistyped_names.py",  # all verbs
     "integration",
     "peers",
     "native/test_turns.py",  # turns of links in _passage.c

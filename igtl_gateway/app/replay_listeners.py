@@ -26,7 +26,7 @@ from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.gateway.metadata import FULL_NAME, restore_metadata
 from igtl_gateway.gateway.naming import MAX_NAMES, ShownNames
 from igtl_gateway.gateway.peers import Peer, Peers
-from igtl_gateway.gateway.stamps import with_crc_of
+from igtl_gateway.gateway.stamps import with_crc_of, with_right_crc
 from igtl_gateway.wire import HEADER_SIZE, Item, Message, Raw, decode, encode
 from igtl_gateway.wire.message import sorted_items
 from igtl_gateway.wire.query import split_query
@@ -51,7 +51,8 @@ class Listeners:
         exact: send the recorded bytes to all.
         relay: whether the recording is of a relay, which passes all bytes between two programs: only a listener
             that is recognised gets less.
-        acceptance: which bytes the session accepted as messages; others are sent as they are.
+        acceptance: which bytes the session accepted as messages; others are sent as they are.  A wrong checksum that
+            it accepted is corrected.
 
     Attributes:
         left_out: (address, profile, type) → number of messages that a listener did not get.
@@ -230,7 +231,29 @@ def _version_for(peer: Peer | None, profile: PeerProfile, entry: Entry) -> int:
 
 
 def _adapted(entry: Entry, profile: PeerProfile, version: int, acceptance: Acceptance) -> Sequence[Buffer]:
-    """Return the bytes for a profile: the recorded ones, if nothing changes or they are damaged."""
+    """Return the bytes for a profile: the recorded ones, if nothing changes or they are damaged.
+
+    A session that accepted wrong checksums has messages that listeners would drop: they get the right one.
+    """
+    parts = _formed(entry, profile, version, acceptance)
+    return parts if acceptance.check_crc else accepted_by_all(parts, acceptance)
+
+
+def accepted_by_all(parts: Sequence[Buffer], acceptance: Acceptance) -> Sequence[Buffer]:
+    """Return a message that a session accepted with the right checksum; the same parts if they have it."""
+    data = bytes(join(parts))
+    right = with_right_crc(data)
+    if right is data:
+        return parts
+    try:
+        acceptance.message(data)
+    except WireError:
+        return parts  # it was not a message for the session either
+    return (right,)
+
+
+def _formed(entry: Entry, profile: PeerProfile, version: int, acceptance: Acceptance) -> Sequence[Buffer]:
+    """Return the bytes for a profile, with a wrong checksum where the recorded one is wrong."""
     adapt = profile.adapt.get(BODIES.get(entry.type, Raw))
     if adapt is None and version == entry.payload[0][1]:
         return entry.payload

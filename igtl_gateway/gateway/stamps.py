@@ -59,6 +59,12 @@ def with_crc_of(data: bytes, changed: bytes) -> bytes:
     return changed[:CRC_AT] + recorded + changed[HEADER_SIZE:]
 
 
+def with_right_crc(data: bytes) -> bytes:
+    """Return a message with the checksum of its body; the same object if it has that."""
+    right = U64.pack(crc64(memoryview(data)[HEADER_SIZE:]))
+    return data if data[CRC_AT:HEADER_SIZE] == right else data[:CRC_AT] + right + data[HEADER_SIZE:]
+
+
 def _item(item: Item, new: Callable[[int], int]) -> Item:
     stamp_ns = whole_number(item.text) if item.key == STAMP else None
     return item if stamp_ns is None else Item.of(STAMP, str(new(stamp_ns)))

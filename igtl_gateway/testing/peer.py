@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Literal
 
 from igtl_gateway.app.faulty import DISCONNECT, FaultyFeed, disconnector
+from igtl_gateway.app.replay_listeners import accepted_by_all
 from igtl_gateway.app.replay_options import Side
 from igtl_gateway.app.replay_plan import check_streams, plan_replay, planned_entries, unplayed
 from igtl_gateway.base.buffers import Buffer
@@ -22,6 +23,7 @@ from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.replay.recorded_config import recorded_acceptance
 from igtl_gateway.testing.gateway import config_of, recorded_config
 from igtl_gateway.wire import Header, Message, decode, encode
 
@@ -87,6 +89,7 @@ class ReplayPeer:
         self._clock = SystemClock()
         self._file = SessionFile.open(recording)
         try:
+            self._acceptance = recorded_acceptance(self._file)
             self._config = recorded_config(self._file) if config is None else config_of(config)
             self._plan = plan_replay(self._file, "igtl", recompute=False, side=side)
             if faults := check_streams(self._file, self._config, self._plan, self._streams, "streams"):
@@ -205,7 +208,12 @@ class ReplayPeer:
         return (entry for entry in planned if entry.stamp_ns >= start_ns)
 
     def _with_header_version(self, entry: Entry) -> Entry:
-        """Return the message with the requested header version; unchanged if it cannot be decoded."""
+        """Return the message with the requested header version; unchanged if it cannot be decoded.
+
+        A wrong checksum that the session accepted is corrected.
+        """
+        if not self._acceptance.check_crc:
+            entry = replace(entry, payload=accepted_by_all(entry.payload, self._acceptance))
         if self._header is None:
             return entry
         data = entry.data()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from igtl_gateway.base.buffers import Buffer, join
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.convert.profiles import BY_NAME
 from igtl_gateway.convert.substitutes import SLICER_READS
+from igtl_gateway.gateway.acceptance import Acceptance
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.sessionfile.reader import SessionFile
@@ -49,6 +51,20 @@ def listeners(*said: Message, **settings: bool | str) -> Listeners:
 def got(made: Listeners, one: Entry) -> bytes | None:
     admitted = made.admit(one, [1])
     return None if admitted is None else join(admitted.payload)
+
+
+def test_a_checksum_that_the_session_did_not_check_is_right_for_listeners() -> None:
+    one = entry(Status(1), "STATUS")
+    damaged = replace(one, payload=(join(one.payload)[:50] + bytes(8) + join(one.payload)[58:],))
+    unchecked = {"acceptance": Acceptance(check_crc=False)}
+    made = listeners(**unchecked)  # type: ignore[arg-type]
+    assert got(made, damaged) == join(one.payload)
+    made.fit(damaged, [1])
+    assert sum(made.adapted.values()) == 2
+    assert got(listeners(**unchecked, exact=True), damaged) == join(damaged.payload)  # type: ignore[arg-type]
+    assert got(listeners(), damaged) == join(damaged.payload), "a message that the session rejected stays as it is"
+    cut = replace(one, payload=(join(one.payload)[:-1],))
+    assert got(listeners(**unchecked), cut) == join(cut.payload)  # type: ignore[arg-type]
 
 
 def sent_of_every_type() -> list[Entry]:

@@ -254,3 +254,15 @@ def test_a_seed_has_the_same_faults_on_each_connection(program: Any) -> None:
         assert peer.faults == feed.counts
     with pytest.raises(ConfigError, match="fault: loss"):
         ReplayPeer(STAR, fault="loss=2")
+
+
+def test_a_session_without_checked_checksums_reaches_a_program_that_checks_them(tmp_path: Path) -> None:
+    gateway, data = ManualGateway(check_crc=False), join(encode(HELLO))
+    gateway.from_peer(data[:50] + bytes(8) + data[58:])
+    gateway.save(path := tmp_path / "unchecked.mcap")
+    with ReplayPeer(path) as peer:
+        program = Program.of(peer)
+        peer.wait_connected()
+        peer.play()
+        assert program.messages(1) == [data]
+        peer.wait_done()
