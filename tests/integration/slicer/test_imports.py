@@ -19,7 +19,6 @@ from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway.wire.trajectory import Trajectories
 from igtl_gateway.wire.transform import Transform
 from tests import slicer
-from tests.tables import table
 
 #: Turned about three axes, scaled, sheared and moved.
 GENERAL = np.array([[0.9, -0.2, 0.3, 120.5], [0.1, 1.2, -0.4, -33.25], [-0.25, 0.5, 0.8, 7.125], [0, 0, 0, 1]])
@@ -41,7 +40,7 @@ def imported(path: Path) -> list[Message]:
     return messages
 
 
-@table("suffix", TRANSFORMS)
+@pytest.mark.parametrize("suffix", TRANSFORMS)
 def test_a_transform_that_slicer_wrote(scene: Any, tmp_path: Path, suffix: str) -> None:
     node = slicer.new_node(scene, "LinearTransform")
     node.SetMatrixTransformToParent(slicer.new_matrix(GENERAL))
@@ -53,7 +52,7 @@ def test_a_transform_that_slicer_wrote(scene: Any, tmp_path: Path, suffix: str) 
     assert np.allclose(message.content.rows, GENERAL, rtol=1e-6, atol=1e-6)
 
 
-@table("suffix", (".h5", ".tfm", ".txt"))
+@pytest.mark.parametrize("suffix", (".h5", ".tfm", ".txt"))
 def test_a_composite_that_slicer_wrote(scene: Any, tmp_path: Path, suffix: str) -> None:
     import vtk
 
@@ -71,7 +70,7 @@ def test_a_composite_that_slicer_wrote(scene: Any, tmp_path: Path, suffix: str) 
         assert np.allclose((matrix @ [*point, 1.0])[:3], both.TransformPoint(point), atol=1e-4)
 
 
-@table("suffix", (".h5", ".tfm"))
+@pytest.mark.parametrize("suffix", (".h5", ".tfm"))
 def test_a_grid_that_slicer_wrote_is_refused_by_name(scene: Any, tmp_path: Path, suffix: str) -> None:
     module = slicer.slicer()
     import vtk
@@ -97,8 +96,8 @@ def markup(scene: Any, kind: str) -> Any:
     return node
 
 
-@table("kind", ["Fiducial", "Angle", "Curve", "ClosedCurve"])
-@table("suffix", [".mrk.json", ".fcsv"])
+@pytest.mark.parametrize("kind", ["Fiducial", "Angle", "Curve", "ClosedCurve"])
+@pytest.mark.parametrize("suffix", [".mrk.json", ".fcsv"])
 def test_points_that_slicer_wrote(scene: Any, tmp_path: Path, kind: str, suffix: str) -> None:
     if suffix == ".fcsv" and kind != "Fiducial":
         return
@@ -117,7 +116,7 @@ def test_a_line_that_slicer_wrote_is_a_path(scene: Any, tmp_path: Path) -> None:
     assert message.content.elements["target"].tolist() == [list(POINTS[1])]
 
 
-@table("suffix", [".mrk.json", ".fcsv"])
+@pytest.mark.parametrize("suffix", [".mrk.json", ".fcsv"])
 def test_points_without_a_position_are_left_out(scene: Any, tmp_path: Path, suffix: str) -> None:
     node = markup(scene, "Fiducial")
     node.UnsetNthControlPointPosition(1)
@@ -167,7 +166,7 @@ OLDER = {
 }
 
 
-@table("version", OLDER)
+@pytest.mark.parametrize("version", OLDER)
 def test_points_of_other_versions_are_where_slicer_reads_them(scene: Any, tmp_path: Path, version: str) -> None:
     path = tmp_path / "Old.fcsv"
     path.write_bytes(OLDER[version].encode())
@@ -183,7 +182,7 @@ def test_points_of_other_versions_are_where_slicer_reads_them(scene: Any, tmp_pa
     assert node.GetNthControlPointLabel(0) == bytes(message.content.elements["name"][0]).decode()
 
 
-@table("space", ['"LPS"', '"RAS"', '"0"', '"1"', ""])
+@pytest.mark.parametrize("space", ['"LPS"', '"RAS"', '"0"', '"1"', ""])
 def test_spaces_of_markups_are_those_of_slicer(scene: Any, tmp_path: Path, space: str) -> None:
     path, position = tmp_path / "F.mrk.json", [0.0] * 3
     stated = f'"coordinateSystem": {space}, ' if space else ""
