@@ -240,7 +240,7 @@ class SceneReading:
         return self._streams[entry.kind.value, entry.channel, entry.type]
 
     def _unit(self, entry: Entry) -> str:
-        return str(self._units.of(entry.kind, entry.channel, entry.type))
+        return str(self._units.of(entry.kind, entry.channel, entry.type, entry.links))
 
     def _stamp(self, entry: Entry) -> int:
         """Return the stamp in a message, UTC ns; 0 = unset."""
