@@ -176,7 +176,7 @@ def sides_without_match(file: SessionFile, globs: Sequence[str]) -> list[str]:
     none: tuple[int, ...] = ()
     streams = {(each.kind, each.stream or each.topic, none) for each in file.channels if each.count}
     if any(_PEER.search(glob) for glob in sided):
-        streams |= {(each.kind, each.channel, each.links) for each in file.entries_of_kinds(IGTL_KINDS)}
+        streams |= {(each.kind, each.channel, each.links) for each in file.entries_of_kinds(IGTL_KINDS) if each.channel}
     return [
         glob
         for glob in sided
