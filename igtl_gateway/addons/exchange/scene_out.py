@@ -262,6 +262,7 @@ class _SceneWriter:
         #: transform node → its first pose, and the node above it
         self._places: dict[str, tuple[Array, str]] = {}
         self._shown: tuple[str, PictureTrack, Array, str] | None = None
+        self._origins: list[tuple[Array, str]] = []
         self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
 
     # -- times
@@ -320,8 +321,12 @@ class _SceneWriter:
             node = self._nodes.get(body.frame, "")
             name = f"{DATA}/{body.name}.vtk"
             self._store.write(name, body.data)
+            self._see(body.box, node)
             self._model(body.name, name, node, {"color": _numbers(body.colour), "scalarVisibility": "false"})
         self.notes += robots.notes
+        if not np.isfinite(self._low).all():  # frames alone: a goal far away does not count beside things
+            for points, above in self._origins:
+                self._see(points, above)
         self._write_axes(poses, robots.frames)
         self._write_marks()
         self._write_views()
@@ -362,7 +367,7 @@ class _SceneWriter:
         self._transform(track.name, kept[0], above, known.node)
         if known.leads:
             self._nodes[track.child.lstrip("/")] = known.node
-        self._see(kept[:: max(1, len(kept) // 500), :3, 3], above)
+        self._origins.append((kept[:: max(1, len(kept) // 500), :3, 3], above))
 
     def _pose_sequence(self, track: Track, name: str, matrices: Array, node: str, source: str = "") -> None:
         token = self._token(name)
@@ -418,7 +423,8 @@ class _SceneWriter:
         self._played.append((sequence, node, track))
         self._shown = self._shown or (node, track, begin, above)
         corners = np.array(list(itertools.product(*((0, size - 1) for size in first.dimensions))))
-        self._see((np.c_[corners, np.ones(8)] @ begin.T)[:, :3], above)
+        if track.type != RosImage.TYPE:
+            self._see((np.c_[corners, np.ones(8)] @ begin.T)[:, :3], above)
 
     def _settle(self, track: PictureTrack) -> None:
         """Leave only the pictures in the file that have an index, and add it to the scene."""

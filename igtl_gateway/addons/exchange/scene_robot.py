@@ -31,12 +31,13 @@ _WANTED = ("setpoint_", "goal_", "servo_", "interpolate_", "move_")
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """A body in a frame: the content of a VTK file, mm."""
+    """A body in a frame: the content of a VTK file, and its lowest and highest coordinates (2, 3), mm."""
 
     name: str
     frame: str
     data: bytes
     colour: tuple[float, float, float]
+    box: Array
 
 
 @dataclass(slots=True)
@@ -121,7 +122,8 @@ class Robots:
                 content = PolyData(points.astype(np.float32), polygons=Cells(len(faces), cells.ravel()))
                 colour = tuple(visual.colour[:3]) if visual.colour else _GREY
                 name = "".join(sign if sign.isalnum() and sign.isascii() else "_" for sign in f"{link}_{number}")
-                self.bodies.append(Body(f"robot_{name}", link, vtk(content).data, colour))
+                box = np.array([points.min(axis=0), points.max(axis=0)])
+                self.bodies.append(Body(f"robot_{name}", link, vtk(content).data, colour, box))
         if missing:
             self.notes.append(f"{topic}: {len(missing)} bodies of the robot are not shown: {missing[0]}")
 
