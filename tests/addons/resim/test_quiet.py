@@ -81,8 +81,8 @@ def test_a_topic_with_a_mistake_cannot_be_judged(
     outputs, without = ((wrong,), ()) if options[0] == "--output" else ((), (wrong,))
     found = resim(path, command, runs=1, outputs=outputs, without=without)
     assert not found.is_equal and options[1] in str(found)
-    with pytest.raises(GatewayError, match=r"--input /im: matches no recorded topic; did you mean '/in'\?"):
-        resim(path, command, inputs="/im")
+    with pytest.raises(GatewayError, match=r"--input /inn: matches no recorded topic; did you mean '/in'\?"):
+        resim(path, command, inputs="/inn")
 
 
 def test_a_topic_that_is_there_may_be_named_without_need(tmp_path: Path) -> None:
