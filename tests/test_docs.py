@@ -16,6 +16,7 @@ from igtl_gateway.doctor import RULES
 from igtl_gateway.doctor.host_checks import HOST_CHECKS
 from igtl_gateway.gateway import metadata
 from igtl_gateway.wire.layout import Field
+from igtl_gateway.config.note_codes import NOTE_CODES
 from igtl_gateway.wire.registry import BODIES
 from tests.places import ROOT
 from tools import docs
@@ -258,6 +259,7 @@ def test_every_code_of_a_note_is_there() -> None:
     listed = [code for codes in NOTES.values() for code in codes]
     assert written and written - set(listed) == set()
     assert len(set(listed)) == len(listed)
+    assert sorted(listed) == NOTE_CODES, "the codes that a trigger may name"
     everything = "".join(sources.values())
     assert [code for code in listed if f'"{code}"' not in everything] == []
 

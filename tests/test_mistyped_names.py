@@ -11,13 +11,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 
 import igtl_gateway
 from igtl_gateway import cli
 from igtl_gateway.base.errors import ConfigError, GatewayError
 from igtl_gateway.config.configuration import Config
+from igtl_gateway.config.triggers import trigger
+from igtl_gateway.convert.common_msgs import JointState, WrenchStamped
+from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.gateway.expected import PresentSources, expected_sources, missing_sources
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.record.sessionfile.schemas import RosTypes
+from igtl_gateway.record.triggers import Triggers
 from igtl_gateway.testing.compare import assert_session_equal
 from igtl_gateway.testing.gateway import ManualGateway
 from igtl_gateway.testing.peer import ReplayPeer
@@ -190,6 +198,70 @@ def test_what_a_bridge_names_and_does_not_get() -> None:
     nothing = PresentSources((), (), ("x",), ("x",))
     optional = {"mark_from", "allow_in", "allow_out", "--record-exclude"}
     assert not optional & {each.source.setting for each in missing_sources(expected, nothing)}
+
+
+def test_what_a_trigger_or_a_class_names_and_does_not_get() -> None:
+    rules = [
+        trigger(each)
+        for each in ("value=/forse,field=z,above=1", "status=Prob", "loss=IMAGE/Slce", "guard=IMAGE/Absent", "mark")
+    ]
+    kinds = Config.from_dict({"to_ros": [{"device": "Planer", "kinds": ["string"]}]})
+    expected = expected_sources(kinds, triggers=rules, classed=["/igtl/in/Slce/**"])
+    names = ("/force", "/igtl/in/Slice/image", "IMAGE/Slice", "Slice")
+    missing = missing_sources(expected, PresentSources(("/force",), (), ("Probe", "Planner"), names))
+    assert {each.source.setting: each.text for each in missing if each.source.setting != "--trigger"} == {
+        "to_ros[0]": "Planer is configured (to_ros[0]), but no peer sends it; did you mean 'Planner'?",
+        "--site-class": "/igtl/in/Slce/** is configured (--site-class), but no stream has this name; "
+        "did you mean '/igtl/in/Slice/image'?",
+    }
+    assert [each.text for each in missing if each.source.setting == "--trigger"] == [
+        "/forse is configured (--trigger), but no node publishes it; did you mean '/force'?",
+        "Prob is configured (--trigger), but no peer sends it; did you mean 'Probe'?",
+        "IMAGE/Slce is configured (--trigger), but no stream has this name; did you mean 'IMAGE/Slice'?",
+    ]
+    everything = PresentSources(("/forse",), (), ("Prob", "Planer"), ("/igtl/in/Slce/image", "IMAGE/Slce"))
+    assert missing_sources(expected, everything) == []
+
+
+@table(
+    ("rule", "near"),
+    [("note=bad_crd", "bad_crc"), ("note=queue_dorp", "queue_drop"), ("note=zenoh_*_nope", ""), ("note=nope/**", "")],
+)
+def test_a_trigger_by_an_unknown_code_is_refused(rule: str, near: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        trigger(rule)
+    assert rule.partition("=")[2] in str(caught.value) and near in str(caught.value)
+
+
+@table(
+    ("field", "why"),
+    [
+        ("wrench.forc.z", "found no 'forc'; did you mean 'force'?"),
+        ("wrench.force.w", "found no 'w'"),
+        ("rench", "found no 'rench'; did you mean 'wrench'?"),
+        ("wrench.force[1]", "'force' is not an array"),
+        ("wrench.force", "it is not a number"),
+        ("header.frame_id", "it is not a number"),
+        ("wrench.force.z", ""),
+    ],
+)
+def test_a_field_of_a_trigger_that_no_message_has_is_reported_once(field: str, why: str) -> None:
+    notes: list[Note] = []
+    triggers = Triggers([trigger(f"value=/f*,field={field},above=5")], RosTypes(), on_note=notes.append)
+    data = WrenchStamped(Header(), (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)).pack()
+    for number in range(3):
+        triggers.look(Entry(number, number, Kind.ROS_IN, "/force", WrenchStamped.TYPE, (data,)))
+    assert [(note.code, note.stream) for note in notes] == [("no_source", "/force")] * bool(why)
+    assert all(why in note.text and field in note.text for note in notes)
+
+
+@table(("values", "why"), [((), ""), ((1.0,), "'position' has 1 values"), ((1.0, 2.0, 3.0), "")])
+def test_an_index_of_a_trigger_beyond_the_values_is_reported(values: tuple[float, ...], why: str) -> None:
+    notes: list[Note] = []
+    triggers = Triggers([trigger("value=/j,field=position[2],above=5")], RosTypes(), on_note=notes.append)
+    data = JointState(Header(), (), np.array(values)).pack()
+    triggers.look(Entry(1, 1, Kind.ROS_IN, "/j", JointState.TYPE, (data,)))
+    assert [note.text.rpartition(": ")[2] for note in notes] == ([why] if why else [])
 
 
 def opened() -> Any:

@@ -137,7 +137,7 @@ NOTES: dict[str, dict[str, str]] = {
         "latched_forgotten": "latched messages exceed `latched_mib`: those of the largest topic are forgotten",
         "ros_unknown_type": "the type of a topic is not installed",
         "no_source": "a configured topic, arm, frame or device has not come 5 s after the start, or the first message "
-        "of a peer; the text has the nearest name that is there",
+        "of a peer, or a message does not have the field of a trigger; the text has the nearest name that is there",
         "ros_refused": "ROS refuses a topic, for example because of its name",
         "ros_publish_failed": "a message was not published",
         "ros_receive_failed": "taking a message failed",

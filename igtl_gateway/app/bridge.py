@@ -165,7 +165,12 @@ class Bridge:
         self._memory = IdleMemory()
         chosen = options.recording.selection if options.record else Selection()
         expected = expected_sources(
-            config, options.record_topics if options.record else (), chosen.include, chosen.exclude
+            config,
+            options.record_topics if options.record else (),
+            chosen.include,
+            chosen.exclude,
+            options.recording.triggers if options.record else (),
+            [text.rpartition("=")[0] for text in options.site.classes],
         )
         #: The configured sources that have not come.
         self.awaited = AwaitedSources(expected, self._present_sources, self.hub.note)

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.globs import matches
 from igtl_gateway.base.near import did_you_mean, near_names
+from igtl_gateway.config.note_codes import NOTE_CODES
 
 #: Longest window before and after a trigger, s.
 MAX_WINDOW_S = 3600.0
@@ -83,6 +85,12 @@ class Trigger:
             if not row.pattern:
                 raise ConfigError(f"pattern: found none, expected a glob of the {row.matched} with kind {self.kind}")
             object.__setattr__(self, "pattern", row.pattern)
+        if self.kind == "note" and not any(matches(self.pattern, code) for code in NOTE_CODES):
+            near = did_you_mean(near_names(self.pattern, NOTE_CODES))
+            raise ConfigError(
+                f"pattern: found {self.pattern!r}, expected the code of a note, or a glob of codes"
+                + (f"; {near}" if near else "")
+            )
         for name, value in (("before", self.before_s), ("after", self.after_s)):
             if value is not None and not 0 <= value <= MAX_WINDOW_S:
                 raise ConfigError(f"{name}: found {value:g}, expected 0 to {MAX_WINDOW_S:g} s")

@@ -14,6 +14,7 @@ from typing import Literal
 from igtl_gateway.base.globs import matches
 from igtl_gateway.base.near import did_you_mean, near_names
 from igtl_gateway.config.configuration import Config
+from igtl_gateway.config.triggers import KINDS, Trigger
 from igtl_gateway.convert.frames import frame_id
 from igtl_gateway.gateway.log.note import Level, Note
 
@@ -29,6 +30,9 @@ _ABSENT: dict[SourceKind, str] = {
     "device": "no peer sends it",
     "stream": "no stream has this name",
 }
+
+#: What the pattern of a trigger is compared with → kind; a stream need not come for its losses to be waited for.
+_OF_TRIGGERS: dict[str, SourceKind] = {"device": "device", "stream": "stream"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +95,12 @@ class PresentSources:
 
 
 def expected_sources(
-    config: Config, recorded: Iterable[str] = (), included: Iterable[str] = (), excluded: Iterable[str] = ()
+    config: Config,
+    recorded: Iterable[str] = (),
+    included: Iterable[str] = (),
+    excluded: Iterable[str] = (),
+    triggers: Iterable[Trigger] = (),
+    classed: Iterable[str] = (),
 ) -> list[ExpectedSource]:
     """Return the sources that a configuration names.
 
@@ -99,6 +108,8 @@ def expected_sources(
         config: the configuration.
         recorded: topics that are recorded in addition.
         included, excluded: globs of the streams that are recorded only, and that are not.
+        triggers: rules of the black box.
+        classed: globs of the topics with a class on the line between sites.
     """
     found = [ExpectedSource("topic", row.topic, f"to_igtl[{at}]") for at, row in enumerate(config.to_igtl)]
     for at, request in enumerate(row.request() for row in config.tf_out):
@@ -106,6 +117,7 @@ def expected_sources(
         found += [ExpectedSource("frame", frame_id(frame), f"tf_out[{at}]") for frame in frames]
     found += [ExpectedSource("arm", row.arms, f"crtk[{at}]") for at, row in enumerate(config.crtk)]
     found += [ExpectedSource("device", row.device, f"to_ros[{at}]") for at, row in enumerate(config.to_ros)]
+    found += [each for rule in triggers for each in _of_a_trigger(rule)]
     found += [ExpectedSource("topic", topic, "--record-topics") for topic in recorded]
     found += [ExpectedSource("device", device, "mark_from", is_optional=True) for device in config.mark_from]
     found += [ExpectedSource("device", device, "allow_in", is_optional=True) for device in config.allow_in]
@@ -113,8 +125,18 @@ def expected_sources(
     found += [ExpectedSource("stream", glob, "--record-exclude", is_optional=True) for glob in excluded]
     found = [each for each in found if not set("*?") & set(each.name)]
     found += [ExpectedSource("stream", glob, "--record-include") for glob in included]
+    found += [ExpectedSource("stream", glob, "--site-class") for glob in classed]
     # of several settings with one name, the first one
     return list(reversed({(each.kind, each.name): each for each in reversed(found)}.values()))
+
+
+def _of_a_trigger(rule: Trigger) -> list[ExpectedSource]:
+    """Return what a rule looks at, if it names it."""
+    row = KINDS[rule.kind]
+    if row.is_topic:
+        return [ExpectedSource("topic", rule.pattern, "--trigger")]
+    kind = _OF_TRIGGERS.get(row.matched)
+    return [ExpectedSource(kind, rule.pattern, "--trigger", is_optional=kind == "stream")] if kind else []
 
 
 def missing_sources(expected: Iterable[ExpectedSource], present: PresentSources) -> list[MissingSource]:

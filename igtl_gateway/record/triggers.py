@@ -13,15 +13,17 @@ from typing import Any
 
 from igtl_gateway.base.errors import ConversionError, DamagedRecording, WireError
 from igtl_gateway.base.globs import matches
+from igtl_gateway.base.near import did_you_mean, near_names
 from igtl_gateway.base.untrusted.decoding import BadBytes, MessageDecoder
 from igtl_gateway.config.triggers import Trigger
 from igtl_gateway.convert.common_msgs import DiagnosticArray, OperatingState
 from igtl_gateway.gateway import LINK_DOWN
 from igtl_gateway.gateway.acceptance import DEFAULT_ACCEPTANCE, Acceptance
+from igtl_gateway.gateway.expected import NO_SOURCE
 from igtl_gateway.gateway.guarded_stream import CALM, CODES, FRESH
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.marks import MarkNote
-from igtl_gateway.gateway.log.note import STOPPED, Note
+from igtl_gateway.gateway.log.note import STOPPED, Level, Note
 from igtl_gateway.record.sessionfile.schemas import RosTypes
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.text import Status
@@ -63,10 +65,11 @@ class Cause:
 
 @dataclass(frozen=True, slots=True)
 class _Readers:
-    """What decodes messages: of ROS, and of OpenIGTLink."""
+    """What decodes messages, of ROS and of OpenIGTLink, and takes a topic and why it has no value for a rule."""
 
     ros: MessageDecoder
     igtl: Acceptance
+    on_no_value: Callable[[Trigger, str, str], None]
 
 
 class Triggers:
@@ -76,9 +79,16 @@ class Triggers:
         rules: the rules.
         types: definitions of ROS types, for values.
         acceptance: which bytes are messages of OpenIGTLink.
+        on_note: takes a note about each rule and topic whose messages do not have the field of the rule.
     """
 
-    def __init__(self, rules: Sequence[Trigger], types: RosTypes, acceptance: Acceptance = DEFAULT_ACCEPTANCE) -> None:
+    def __init__(
+        self,
+        rules: Sequence[Trigger],
+        types: RosTypes,
+        acceptance: Acceptance = DEFAULT_ACCEPTANCE,
+        on_note: Callable[[Note], object] = lambda _note: None,
+    ) -> None:
         self._rules = rules
         self._holds: dict[tuple[int, str], bool] = {}  # number of the rule, and of what → whether its condition holds
         self._of_stream: dict[tuple[Kind, str, str], tuple[int, ...]] = {}
@@ -87,7 +97,16 @@ class Triggers:
             found = types.find(ros_type)
             return found.text(ros_type) if found else ""
 
-        self._read = _Readers(MessageDecoder(definition_of), acceptance)
+        self._on_note = on_note
+        self._without: set[tuple[Trigger, str]] = set()  # rules and topics with a note
+        self._read = _Readers(MessageDecoder(definition_of), acceptance, self._report)
+
+    def _report(self, rule: Trigger, topic: str, why: str) -> None:
+        """Report once that the messages of a topic do not have the field of a rule."""
+        if (rule, topic) not in self._without and len(self._without) < _MOST:
+            self._without.add((rule, topic))
+            text = f"{rule.field} is configured (--trigger), but a message of {topic} does not have it: {why}"
+            self._on_note(Note(Level.WARN, NO_SOURCE, text, topic, {"kind": "field", "setting": "--trigger"}))
 
     def look(self, entry: Entry) -> list[Cause]:
         """Return what an entry triggers."""
@@ -178,26 +197,35 @@ def _operating_state(rule: Trigger, entry: Entry, _read: _Readers) -> _Found:
 
 def _value(rule: Trigger, entry: Entry, read: _Readers) -> _Found:
     value = _number_at(read.ros.decode(entry.type, entry.data()), rule.field)
-    if value is None:
+    if value is None or isinstance(value, str):
+        if value:
+            read.on_no_value(rule, entry.channel, value)
         return
     outside = (rule.below is not None and value < rule.below) or (rule.above is not None and value > rule.above)
     yield entry.channel, outside, f"{entry.channel} {rule.field}: {value:g}"
 
 
-def _number_at(message: Any, path: str) -> float | None:
-    """Return the number at a path of a message; None if there is none."""
+def _number_at(message: Any, path: str) -> float | str | None:
+    """Return the number at a path of a message; if there is none, the reason; None for an array without values."""
     for step in path.split("."):
         found = _STEP.fullmatch(step)
-        message = getattr(message, found[1], None) if found else None
-        for index in _INDEX.findall(found[2]) if found and message is not None else ():
+        fields = [name for name in getattr(message, "__dataclass_fields__", ()) if name != "__msgtype__"]
+        if not found or found[1] not in fields:
+            near = did_you_mean(near_names(found[1] if found else step, fields))
+            return f"found no {step!r}" + (f"; {near}" if near else "")
+        message = getattr(message, found[1])
+        for index in _INDEX.findall(found[2]):
             try:
                 message = message[int(index)]
-            except (IndexError, TypeError):
-                return None
+            except TypeError:
+                return f"{found[1]!r} is not an array"
+            except IndexError:
+                # it may get values later
+                return f"{found[1]!r} has {len(message)} values" if len(message) else None
     try:
         return float(message)
     except (TypeError, ValueError):
-        return None
+        return "it is not a number"
 
 
 _NOTES = frozenset({Kind.NOTE, Kind.EDGE_NOTE})

@@ -401,7 +401,7 @@ class _RecorderWorker:
             seconds=self.options.snapshot_s,
             max_bytes=self.options.snapshot_bytes,
             rules=self.options.triggers,
-            triggers=Triggers(self.options.triggers, self._types, self._acceptance()),
+            triggers=Triggers(self.options.triggers, self._types, self._acceptance(), self._note),
             clock=self._clock,
             counters=self._counters,
             on_note=on_note,
