@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
+from igtl_gateway.config.note_codes import NOTE_CODES
 from igtl_gateway.convert.profiles import PROFILES
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS
 from igtl_gateway.doctor import RULES
 from igtl_gateway.doctor.host_checks import HOST_CHECKS
 from igtl_gateway.gateway import metadata
 from igtl_gateway.wire.layout import Field
-from igtl_gateway.config.note_codes import NOTE_CODES
 from igtl_gateway.wire.registry import BODIES
 from tests.places import ROOT
 from tools import docs
