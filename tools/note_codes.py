@@ -60,6 +60,8 @@ NOTES: dict[str, dict[str, str]] = {
         "direction_not_unit": "the directions of a volume have no unit length and are used with it",
         "uint32_as_float64": "an image of uint32 is published as 64FC, because ROS has no such encoding",
         "coordinate_zero": "the coordinate system of an image is 0, which was LPS before 2013, and is read as LPS",
+        "cell_scalars": "scalars of cells have nine components in the head, as the C++ library writes for any number; "
+        "one value a cell is read",
         "trajectory_not_drawn": "a trajectory has both ends, but not the type of a line, or an end that is not finite",
         "float32_attribute": "a field of a point cloud is sent as float32",
         "colours_left_out": "the colours of a marker do not fit its points and are left out",

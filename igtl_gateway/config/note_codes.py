@@ -4,7 +4,7 @@ from __future__ import annotations
 
 #: All of them, in alphabetical order; a test compares them with those in the sources.
 NOTE_CODES = (
-    "accept_failed active adapted age_unknown arm_unit bad_crc callback_failed calm clock_step "
+    "accept_failed active adapted age_unknown arm_unit bad_crc callback_failed calm cell_scalars clock_step "
     "colours_left_out command_backwards command_early command_force command_frame command_joint_count "
     "command_joint_range command_joint_speed command_not_allowed command_not_finite command_not_rigid "
     "command_old command_refused command_speed command_timeout command_type command_unknown_state "

@@ -70,9 +70,22 @@ def _is_all_points(vertices: Cells, count: int) -> bool:
     return table is not None and table.shape[1] == 1 and bool((table[:, 0] == np.arange(count)).all())
 
 
+#: Attributes that a warning names.
+_MOST_NAMES = 3
+
+
 @ieee_754
 def polydata_to_ros(content: PolyData, to: ToRosContext) -> igtl_msgs.PolyData:
     """Convert to PolyData: points in metres, cells and attributes as flat arrays."""
+    if unclear := [visible(each.name) for each in content.attributes if each.may_have_more]:
+        names = ", ".join(map(repr, unclear[:_MOST_NAMES])) + (" …" if len(unclear) > _MOST_NAMES else "")
+        to.warnings.append(
+            (
+                "cell_scalars",
+                f"scalars of cells {names}: found 9 components, which the C++ library writes for any number; "
+                "one value a cell is read",
+            )
+        )
     vertices, lines, polygons, strips = (cells.data.astype("<u4") for cells in content.cells)
     return igtl_msgs.PolyData(
         Header(to.stamp_ns, to.frame_id),

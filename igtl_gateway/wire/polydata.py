@@ -200,6 +200,16 @@ class Attribute:
             return self.data[: self.tuples * real].reshape(self.tuples, real)
         return self.data.reshape(self.tuples, self.components)
 
+    @property
+    def may_have_more(self) -> bool:
+        """Whether there may be more components than ``values`` has.
+
+        The reference library writes nine of the scalars of cells, and the number of real ones nowhere.  What follows
+        one a cell is either more of them, or what was in its memory.
+        """
+        is_unstated = self.type == CELL | SCALAR and self.components == _PADDED_TO and not self.is_padded
+        return is_unstated and bool(self.data[self.tuples :].view(np.uint32).any())
+
     @classmethod
     def of(cls, kind: int, name: str, values: npt.NDArray[Any]) -> Self:
         """From an (n, components) array of at most 255 components."""

@@ -109,6 +109,26 @@ def test_bits_of_attributes_are_not_looked_at() -> None:
 
 
 @pytest.mark.parametrize(
+    "kind, data, is_unclear",
+    [
+        (CELL | SCALAR, [1, 2, 3, 4, 5, 6] + [0] * 12, True),  # two cells of three components
+        (CELL | SCALAR, [1, 2] + [0] * 15 + [float("nan")], True),  # of one; the rest is what was in the memory
+        (CELL | SCALAR, [1, 2] + [0] * 16, False),
+        (CELL | VECTOR, [1, 2, 3, 4, 5, 6, 7] + [0] * 11, False),
+        (SCALAR, range(1, 19), False),
+    ],
+)
+def test_scalars_of_cells_whose_number_of_components_is_unknown_have_a_note(
+    kind: int, data: list[float], is_unclear: bool
+) -> None:
+    context = to_ros()
+    attribute = Attribute(kind, "label", 9, np.array(data, ">f4"))
+    polydata_to_ros(PolyData(POINTS, attributes=(attribute,)), context)
+    assert [code for code, _ in context.warnings] == ["cell_scalars"] * is_unclear
+    assert all("'label'" in text for _, text in context.warnings)
+
+
+@pytest.mark.parametrize(
     "kind, real",
     [
         (RGBA, 4),
