@@ -68,13 +68,19 @@ def read(scene: Any, node: str, storage: str, path: Path, **setting: Any) -> Any
 
     Raises AssertionError, with Slicer's text, if Slicer does not read it or logs a line.
     """
+    found, log = read_with_log(scene, node, storage, path, **setting)
+    assert not log, (path, log)
+    return found
+
+
+def read_with_log(scene: Any, node: str, storage: str, path: Path, **setting: Any) -> tuple[Any, list[str]]:
+    """As ``read``, with the lines that Slicer logs.  Raises AssertionError if Slicer does not read it."""
     found = new_node(scene, node, path.name)
     chosen = _storage(scene, storage, path, setting)
     with log_of() as log:
         done = chosen.ReadData(found)
     assert done, (path, chosen.GetUserMessages().GetAllMessagesAsString(), log)
-    assert not log, (path, log)
-    return found
+    return found, log
 
 
 def write(node: Any, storage: str, path: Path, **setting: Any) -> Path:

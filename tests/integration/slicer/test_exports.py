@@ -112,6 +112,54 @@ def test_slicer_reads_each_exported_surface_of_a_fixture(
     assert sum(judged.values()) == account.files
 
 
+_CORNERS = np.array([[10.0, 20.0, 30.0], [40.0, 20.0, 30.0], [10.0, 60.0, 30.0]])
+_SPACED = "\n".join(" ".join(map(str, each)) for each in _CORNERS.tolist())
+_ARRAY = '<DataArray type="{}" Name="{}" NumberOfComponents="{}" format="ascii">{}</DataArray>'
+_SPACE_OF_VTP = f"<FieldData>{_ARRAY.format('String', 'SPACE', 1, '82 65 83 0')}</FieldData>"
+#: Suffix → a file of other programs, and what states its space, at "@".
+OF_OTHERS = {
+    "vtk": (
+        f"# vtk DataFile Version 3.0\n@\nASCII\nDATASET POLYDATA\nPOINTS 3 float\n{_SPACED}\nPOLYGONS 1 4\n3 0 1 2\n",
+        "SPACE=RAS",
+    ),
+    "ply": (
+        "ply\nformat ascii 1.0\n@element vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+        f"element face 1\nproperty list uchar int vertex_indices\nend_header\n{_SPACED}\n3 0 1 2\n",
+        "comment SPACE=RAS\n",
+    ),
+    "stl": (
+        "solid a@\nfacet normal 0 0 1\nouter loop\nvertex "
+        + _SPACED.replace("\n", "\nvertex ")
+        + "\nendloop\nendfacet\nendsolid a\n",
+        " SPACE=RAS",
+    ),
+    "obj": ("@v " + _SPACED.replace("\n", "\nv ") + "\nf 1 2 3\n", "# SPACE=RAS\n"),
+    "vtp": (
+        '<VTKFile type="PolyData" version="0.1" byte_order="LittleEndian"><PolyData>@'
+        '<Piece NumberOfPoints="3" NumberOfVerts="0" NumberOfLines="0" NumberOfStrips="0" NumberOfPolys="1">'
+        f"<Points>{_ARRAY.format('Float32', 'Points', 3, _SPACED)}</Points>"
+        f"<Polys>{_ARRAY.format('Int32', 'connectivity', 1, '0 1 2')}"
+        f"{_ARRAY.format('Int32', 'offsets', 1, '3')}</Polys></Piece></PolyData></VTKFile>",
+        _SPACE_OF_VTP,
+    ),
+}
+
+
+@pytest.mark.parametrize("suffix", OF_OTHERS)
+def test_a_surface_of_other_programs_is_lps_unless_it_states_its_space(scene: Any, tmp_path: Path, suffix: str) -> None:
+    """What the reference of formats states about our points in files of other programs."""
+    text, space = OF_OTHERS[suffix]
+    stated, silent = tmp_path / f"stated.{suffix}", tmp_path / f"silent.{suffix}"
+    stated.write_text(text.replace("@", space), "ascii")
+    silent.write_text(text.replace("@", "-" if suffix == "vtk" else ""), "ascii")
+    points = slicer.values_of(slicer.read(scene, "Model", "Model", stated).GetPolyData().GetPoints().GetData())
+    assert sorted(points.tolist()) == sorted(_CORNERS.tolist())
+    with pytest.raises(AssertionError, match="coordinate system information"):
+        slicer.read(scene, "Model", "Model", silent)
+    turned = slicer.read_with_log(scene, "Model", "Model", silent)[0].GetPolyData().GetPoints().GetData()
+    assert sorted(slicer.values_of(turned).tolist()) == sorted((_CORNERS * _FLIPPED).tolist())
+
+
 def judge_model(scene: Any, path: Path, content: PolyData) -> None:
     """Slicer has the points in RAS, and in a VTK file the cells and attributes."""
     data = slicer.read(scene, "Model", "Model", path).GetPolyData()
