@@ -115,7 +115,8 @@ def test_slicer_reads_each_exported_surface_of_a_fixture(
 _CORNERS = np.array([[10.0, 20.0, 30.0], [40.0, 20.0, 30.0], [10.0, 60.0, 30.0]])
 _SPACED = "\n".join(" ".join(map(str, each)) for each in _CORNERS.tolist())
 _ARRAY = '<DataArray type="{}" Name="{}" NumberOfComponents="{}" format="ascii">{}</DataArray>'
-_SPACE_OF_VTP = f"<FieldData>{_ARRAY.format('String', 'SPACE', 1, '82 65 83 0')}</FieldData>"
+_TEXT = _ARRAY.replace("Components", "Tuples")
+_SPACE_OF_VTP = f"<FieldData>{_TEXT.format('String', 'SPACE', 1, '82 65 83 0')}</FieldData>"
 #: Suffix → a file of other programs, and what states its space, at "@".
 OF_OTHERS = {
     "vtk": (
