@@ -38,8 +38,8 @@ def test_medians_and_the_worst() -> None:
 
 
 def test_what_slicer_sends_is_compared_with_header_version_1() -> None:
-    figures = {"gateway_cpu_us_per_message": 100.0}
-    first, other = row(1.0, **figures) | {"case": "transform-n"}, row(1.0)
+    first = row(1.0, gateway_cpu_us_per_message=100.0) | {"case": "transform-n"}
+    other = row(1.0)
     second = row(1.05, gateway_cpu_us_per_message=110.0) | {"case": "transform-s"}
     found = against_version_1([first, second, other])
     assert found[1]["version_1_p50_ratio"] == 1.05 and found[1]["version_1_cpu_ratio"] == 1.1
