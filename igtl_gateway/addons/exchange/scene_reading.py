@@ -30,6 +30,7 @@ from igtl_gateway.addon import (
     failure_text,
     millimetres,
     of_session,
+    open_new,
     recorded_acceptance,
     recorded_units,
     tools_of,
@@ -381,7 +382,9 @@ class SceneReading:
         track: ItemTrack = self._new(entry, ItemTrack, key, tag=tag, storage=storage, suffix=suffix, empty=empty)
         if track.stream is None:
             track.file = f"{DATA}/{self._files.take(_token(track.wanted))}.seq.mrb"
-            track.stream = zipfile.ZipFile(self.store.waiting(track.file), "x", zipfile.ZIP_STORED)
+            path = self.store.waiting(track.file)
+            open_new(path).close()  # with the mode of new files, which zipfile does not know
+            track.stream = zipfile.ZipFile(path, "w", zipfile.ZIP_STORED)
         return track
 
     def _surface(self, entry: Entry, row: ExportedStream) -> Track:

@@ -39,6 +39,8 @@ _NS_PER_S = 1_000_000_000
 #: Of a timer: beyond it, its function looks again.
 _LONGEST_NS = 1_000_000 * _NS_PER_S
 _WATCH_S = 0.1
+#: CPU time between two signals of a timer whose first one has come.
+_REPEATED_S = 1.0
 
 
 def ignore_endings() -> None:
@@ -215,7 +217,8 @@ else:
         """Return functions that start and end a timer of CPU time (ns), and its signal."""
 
         def start(left_ns: int) -> None:
-            signal.setitimer(signal.ITIMER_PROF, min(left_ns, _LONGEST_NS) / _NS_PER_S)
+            # Repeated: the main thread can overlook a signal that another thread gets while it looks for those before.
+            signal.setitimer(signal.ITIMER_PROF, min(left_ns, _LONGEST_NS) / _NS_PER_S, _REPEATED_S)
 
         return start, lambda: signal.setitimer(signal.ITIMER_PROF, 0), signal.SIGPROF
 

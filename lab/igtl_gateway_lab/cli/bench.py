@@ -46,7 +46,7 @@ EXAMPLES = """\
   # also with the C++ library and pyigtl as peers
   igtl-gateway bench --case transform image-vga --peers
   # also as 3D Slicer sends it, in turns with header version 1
-  igtl-gateway bench --case transform-n --rate 1000 --direction igtl-to-ros --peer slicer
+  igtl-gateway bench --case transform-n --direction igtl-to-ros --peer slicer
   # in turns with another bridge (docs/evidence/performance.md)
   igtl-gateway bench --case transform --against "my_bridge --port {port}"
   # measurements other than the transfer of messages
