@@ -2,7 +2,6 @@
 # slicer-core: of a tracked sequence with several transforms, the reader of sequences of transforms gives the first one.
 #
 # Expected: a .seq.mha with ProbeToTracker and ReferenceToTracker in each frame gives both, or a message.
-#           Guess before the run: two sequence nodes, one for each name.
 # Found: one sequence node, with the name that comes first in the file; ReadData returns 1 and there is no message.
 #        Frames whose status is INVALID are items like others, without their status.
 # Versions: slicer-core 5.13.31053.0, VTK 9.6.2.

@@ -2,7 +2,6 @@
 # slicer-core: the slices of a picture whose three directions are left-handed are read in the opposite order.
 #
 # Expected: voxel (i, j, k) of a node is voxel (i, j, k) of the file, as in ITK; the matrix says where it lies.
-#           Guess before the run: the matrix has a negative determinant, and the voxels are in the order of the file.
 # Found: the first slice of the node is the last one of the file; origin and third direction of the matrix fit that, so
 #        places in RAS are right, and indices are not those of the file.  No message says so.  Right-handed files are not changed.
 # Versions: slicer-core 5.13.31053.0, VTK 9.6.2.

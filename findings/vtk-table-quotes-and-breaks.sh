@@ -2,7 +2,6 @@
 # VTK (and 3D Slicer, which reads its tables with it): a quote in a quoted cell, written twice as in RFC 4180, ends the cell.
 #
 # Expected: the cell "say ""hi"" now" is: say "hi" now; a line break in a quoted cell stays in the cell.
-#           Guess before the run: both are read as Python's csv module reads them.
 # Found: the cell is: ' now' (what stands before the last pair of quotes is lost), and the line break begins a new row.  No error.
 # Versions: vtk 9.6.2, slicer-core 5.13.31053.0.
 # Concerns: tables with text, such as commands in XML or robot descriptions, that are opened in 3D Slicer or ParaView.
