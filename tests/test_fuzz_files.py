@@ -16,7 +16,7 @@ from tools.fuzz_files import READERS, Broken, Fuzzer, Reader, run, verb
 from tools.import_mutations import Case
 
 #: Cases of each reader in every run of the tests.
-CASES = {"mcap": 100, "import": 200, "image": 300, "configuration": 500}
+CASES = {"mcap": 100, "import": 200, "image": 300, "slicer": 300, "configuration": 500}
 
 
 @pytest.mark.slow

@@ -1,9 +1,10 @@
 """Fuzzing of everything that reads files: ``python -m tools.fuzz_files --seconds 600 --seed 1``.
 
 Strategy: generators of structure-aware damage (``tools/mcap_mutations.py``, ``tools/import_mutations.py``,
-``tools/image_mutations.py``) give small files without end; each is written to memory (``/dev/shm``) and read in this
-process.  Nothing may leave a reader but a GatewayError; a case may take 5 s of processor time and 300 MB; what a verb
-prints holds no control character.  The sequence of cases of a reader depends on the seed only.
+``tools/image_mutations.py``, ``tools/slicer_mutations.py``) give small files without end; each is written to memory
+(``/dev/shm``) and read in this process.  Nothing may leave a reader but a GatewayError; a case may take 5 s of
+processor time and 300 MB; what a verb prints holds no control character.  The sequence of cases of a reader depends on
+the seed only.
 
 What breaks a rule is written to a folder, the run goes on, and the program ends with exit code 1.
 """
@@ -41,7 +42,7 @@ from igtl_gateway.gateway.log.ledger import gaps
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.salvage import Salvage
 from igtl_gateway.replay.recorded_config import config_to_run
-from tools import image_mutations, import_mutations, mcap_mutations
+from tools import image_mutations, import_mutations, mcap_mutations, slicer_mutations
 from tools.import_mutations import Case
 
 #: Of one case: seconds of the processor, and megabytes beyond those of the process before it (300 with the libraries).
@@ -156,6 +157,7 @@ READERS = {
     "mcap": Reader(_mcap_cases, read_mcap),
     "import": Reader(import_mutations.cases, read_import),
     "image": Reader(image_mutations.cases, read_import),
+    "slicer": Reader(slicer_mutations.cases, read_import),
     "configuration": Reader(image_mutations.configurations, read_configuration),
 }
 

@@ -269,7 +269,7 @@ def _of_text(text: str, where: str) -> Iterator[ItkTransform]:
 
 
 def _numbers(text: str, where: str) -> list[float]:
-    limits.check_limit("count", text.count(" "), f"{where}: numbers")
+    limits.check_limit("document", len(text), f"{where}: characters")
     try:
         return [float(word) for word in text.split()]
     except ValueError:

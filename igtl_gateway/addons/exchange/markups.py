@@ -129,6 +129,7 @@ def _of_table(text: str, where: str) -> Markup:
     """Return the points of an ``.fcsv``."""
     lines = text.splitlines()
     limits.check_limit("count", len(lines), f"{where}: lines")
+    limits.check_limit("document", max(map(len, lines)), f"{where}: characters of a line")
     head = [line.lstrip("# ").partition("=") for line in lines if line.startswith("#")]
     facts = {key.strip(): value.strip() for key, equals, value in head if equals}
     sign = _sign(facts.get("CoordinateSystem", "LPS"), f"{where}: CoordinateSystem")

@@ -14,10 +14,9 @@ import heapq
 import math
 import tempfile
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
-from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
@@ -32,11 +31,11 @@ from igtl_gateway.addon import (
     files,
     join,
     limits,
-    parse_json,
     parse_xml,
     whole_number,
 )
 from igtl_gateway.addon.igtl import DEVICE_NAME_AT, Message, Points, String, Transform, cut_text, encode, ns_to_ticks
+from igtl_gateway.addons.exchange.markups import read_markups
 from igtl_gateway.addons.exchange.scene_nodes import read_facts
 from igtl_gateway.addons.exchange.sequence import DEFAULT_EPOCH_NS
 from igtl_gateway.addons.exchange.sequence import Sequence as SequenceFile
@@ -66,7 +65,6 @@ _NODES = {
     "MarkupsFiducial": "POINT",
     "Text": "STRING",
 }
-_SPACES = {"LPS": (-1.0, -1.0, 1.0), "RAS": (1.0, 1.0, 1.0), "1": (-1.0, -1.0, 1.0), "0": (1.0, 1.0, 1.0)}
 #: Times from 1970 to 2106.
 _END_NS = NS_PER_S << 32
 
@@ -148,6 +146,11 @@ class Bundle(_Files):
                     "expected the same number"
                 )
             found[name] = info
+        squeezed = [info for info in found.values() if info.compress_type != zipfile.ZIP_STORED]
+        bound = limits.current_limits()
+        allowed = max(bound.free, bound.ratio * sum(info.compress_size for info in squeezed))
+        unpacked = sum(info.file_size for info in squeezed)
+        limits.check_limit("ratio", unpacked, f"{self.where}: unpacked bytes of all files", allowed)
         packed = sum(info.compress_size for info in found.values())
         if packed > files.size_of(self._path):
             raise DamagedRecording(
@@ -218,14 +221,17 @@ def _checked(name: str, where: str) -> PurePosixPath:
     return path
 
 
-def _document(place: _Files) -> Element:
-    """Return the document of a scene: it may be as long as a file that is read at once."""
+def _document(place: _Files, read: int = 0) -> tuple[Element, int]:
+    """Return the document of a scene and its size: with the ``read`` bytes of others, at most half of ``free``."""
     bound = limits.current_limits()
-    with limits.limits_in_force(replace(bound, document=bound.free)):
-        root = parse_xml(place.document(), place.where)
+    data = place.document()
+    allowed = bound.free // 2
+    limits.check_limit("free", read + len(data), f"{place.where}: bytes of the documents", allowed)
+    with limits.limits_in_force(replace(bound, document=allowed)):
+        root = parse_xml(data, place.where)
     if root.name != "MRML":
         raise UnsupportedRecording(f"{place.where}: line {root.line}: found <{root.name[:40]}>, expected <MRML>")
-    return root
+    return root, len(data)
 
 
 @dataclass(slots=True)
@@ -274,6 +280,8 @@ class SceneSource(NonRosSource):
             is_bundle = stream.read(2) == b"PK"
         self._files: _Files = Bundle(path, str(path)) if is_bundle else _Files(path, str(path))
         self._opened: list[_Files] = [self._files]
+        #: Scenes in the scene, by their paths.
+        self._inner: dict[Path, tuple[_Files, dict[str, _Node]]] = {}
         try:
             self._read(epoch_ns)
         except BaseException:
@@ -281,7 +289,8 @@ class SceneSource(NonRosSource):
             raise
 
     def _read(self, epoch_ns: int | None) -> None:
-        nodes = self._scene = _nodes(_document(self._files))
+        root, self._document_bytes = _document(self._files)
+        nodes = self._scene = _nodes(root)
         self.title = f"scene {self._path.name}"
         browsers = [node for node in nodes.values() if node.element.name == "SequenceBrowser"]
         stated = next((text for node in browsers if (text := node.facts.get(_BEGIN))), "")
@@ -300,6 +309,8 @@ class SceneSource(NonRosSource):
             for node in nodes.values()
             if node.element.name in _NODES and node.id not in moved.values() and node.name != _ABOUT
         ]
+        limits.check_limit("fields", len(sequences), f"{self._path}: sequences")
+        limits.check_limit("topics", len(still), f"{self._path}: nodes that no sequence moves")
         wanted = {node.id: self._device(node, nodes.get(moved.get(node.id, ""))) for node in (*sequences, *still)}
         self._devices = distinct_names(
             wanted,
@@ -380,15 +391,25 @@ class SceneSource(NonRosSource):
                 row.stream = device
         return items()
 
+    def _scene_in(self, path: Path) -> tuple[_Files, dict[str, _Node]]:
+        """Return the files and the nodes of a scene in the scene, which several sequences may name."""
+        if path not in self._inner:
+            with path.open("rb") as stream:
+                is_bundle = stream.read(2) == b"PK"
+            where = f"{self._path}: {path.name}"
+            place: _Files = Bundle(path, where) if is_bundle else _Files(path, where)
+            self._opened.append(place)
+            root, size = _document(place, self._document_bytes)
+            self._document_bytes += size
+            self._inner[path] = place, _nodes(root)
+        return self._inner[path]
+
     def _bundle(self, node: _Node, row: ImportedStream, device: str, path: Path, values: str) -> _Items:
         """Return the items of a sequence that is a scene itself."""
-        with path.open("rb") as stream:
-            is_bundle = stream.read(2) == b"PK"
-        where = f"{self._path}: {path.name}"
-        place: _Files = Bundle(path, where) if is_bundle else _Files(path, where)
-        self._opened.append(place)
-        inner = _nodes(_document(place))
+        place, inner = self._scene_in(path)
         found: list[tuple[int, _Node]] = []
+        used = set[str]()
+        limits.check_limit("count", values.count(";"), f"{self._path}: {node.name}: indexes")
         for word in values.split(";"):
             key, colon, text = word.strip().rpartition(":")
             if not word.strip():
@@ -398,6 +419,9 @@ class SceneSource(NonRosSource):
                 raise DamagedRecording(
                     f"{self._path}: {node.name}: found the index {word[:60]!r}, expected NODE:SECONDS"
                 )
+            if key in used:
+                raise DamagedRecording(f"{self._path}: {node.name}: found {key[:60]!r} at two indexes, expected one")
+            used.add(key)
             found.append((self._time(text, node.name), item))
         row.declared, kinds = len(found), {item.element.name for _, item in found}
         row.type = next((_NODES.get(kind, kind) for kind in kinds), "Sequence")
@@ -525,23 +549,16 @@ def _renamed(item: ImportedItem, device: str) -> ImportedItem:
 
 def _points(path: Path, where: str) -> Points | None:
     """Return the points of markups; None if there are none."""
-    data = files.read_bytes(path)
-    found: Any = parse_json(data.decode("utf-8", "replace"), where)
     try:
-        (markups,) = found["markups"]
-        controls: Sequence[dict[str, Any]] = markups.get("controlPoints", [])
-        signs = np.array(_SPACES[str(markups.get("coordinateSystem", "LPS"))])
-        limits.check_limit("count", len(controls), f"{where}: points")
-        places = np.array([each["position"] for each in controls], np.float64).reshape(-1, 3) * signs
-        labels = [str(each.get("label", "")) for each in controls]
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise DamagedRecording(
-            f"{where}: found {type(error).__name__} {str(error)[:60]}, expected markups with points of three numbers"
-        ) from None
-    if not len(places):
+        markups = read_markups(path)
+    except GatewayError as error:
+        raise type(error)(str(error).replace(str(path), where)) from None
+    if len(markups) != 1:
+        raise DamagedRecording(f"{where}: found {len(markups)} lists of points, expected markups with one")
+    if not markups[0].points:
         return None
-    points = Points.of(places)
+    points = Points.of(np.array(markups[0].points, np.float64))
     elements = points.elements.copy()
-    elements["name"] = [cut_text(label, 64).encode("utf-8", "replace") for label in labels]
+    elements["name"] = [cut_text(label, 64).encode("utf-8", "replace") for label in markups[0].labels]
     elements["group"] = b"Fiducial"
     return Points(elements)

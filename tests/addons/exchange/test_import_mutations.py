@@ -9,6 +9,8 @@ from pathlib import Path
 from random import Random
 
 from igtl_gateway.addons.exchange.formats import open_source
+from igtl_gateway.gateway.log.entry import Kind
+from tools import slicer_mutations
 from tools.import_mutations import BUILDERS, Bend, Case, cases
 
 
@@ -28,3 +30,15 @@ def test_what_is_not_bent_can_be_imported(tmp_path: Path) -> None:
             with closing(open_source(path)) as source:
                 taken[name] += sum(1 for _ in source.items())
     assert all(taken[name] > 10 for name in BUILDERS)
+
+
+def test_files_of_slicer_that_are_not_bent_can_be_imported(tmp_path: Path) -> None:
+    first, again = (list(islice(slicer_mutations.cases(1), 30)) for _ in range(2))
+    assert first == again
+    for seed in range(6):
+        for name, (suffix, build) in slicer_mutations.BUILDERS.items():
+            path = tmp_path / f"{seed}-{name}{suffix}"
+            path.write_bytes(build(Bend(Random(seed), 0.0)))
+            with closing(open_source(path)) as source:
+                assert sum(item.kind is Kind.IGTL_IN for item in source.items()) > 0, name
+                assert not any(row.left_out for row in source.rows), name

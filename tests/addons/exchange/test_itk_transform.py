@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from igtl_gateway.addons.exchange.itk_transform import read_transform, to_parent
-from igtl_gateway.base.errors import DamagedRecording, GatewayError, UnsupportedRecording
+from igtl_gateway.base.errors import DamagedRecording, GatewayError, LimitExceeded, UnsupportedRecording
 from tests.addons.exchange.itk import sitk
 from tests.tables import table
 
@@ -96,6 +96,13 @@ def test_a_bad_text_is_refused_with_its_place(tmp_path: Path, text: str, error: 
     with pytest.raises(error, match=match) as raised:
         read_transform(path)
     assert str(path) in str(raised.value) and "\n" not in str(raised.value)
+
+
+def test_a_long_line_of_numbers_meets_the_limit(tmp_path: Path) -> None:
+    path = tmp_path / "long.tfm"
+    path.write_text(AFFINE.replace("5 6 7", "5\t6\t" + "7\t" * 300_000))
+    with pytest.raises(LimitExceeded, match="line 4: Parameters: characters"):
+        read_transform(path)
 
 
 def test_a_matrix_without_an_inverse_is_refused() -> None:

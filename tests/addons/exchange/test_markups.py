@@ -86,6 +86,9 @@ def test_huge_and_deep_markups_meet_the_limits(tmp_path: Path) -> None:
     path.write_text(document(controlPoints=[POINT] * 100))
     with limits_in_force(FileLimits(count=50)), pytest.raises(LimitExceeded):
         read_markups(path)
+    path.write_text(FCSV + "1,1,2,3," * 100_000)
+    with pytest.raises(LimitExceeded, match="characters of a line"):
+        read_markups(path)
     path.write_text(FCSV + "1,1,2,3,F\n" * 100)
     with limits_in_force(FileLimits(count=50)), pytest.raises((LimitExceeded, DamagedRecording)):
         read_markups(path)

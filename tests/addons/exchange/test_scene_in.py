@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import subprocess
 import sys
@@ -233,15 +234,75 @@ def test_a_document_is_bounded(tmp_path: Path) -> None:
         SceneSource(path)
 
 
+def test_a_point_without_a_position_is_left_out(tmp_path: Path) -> None:
+    node = (
+        '<MarkupsFiducial id="m1" name="M" references="storage:k1;"></MarkupsFiducial>'
+        '<MarkupsJsonStorage id="k1" name="K" fileName="m.mrk.json"></MarkupsJsonStorage>'
+    )
+    controls = [{"position": [1, 2, 3]}, {"position": [0, 0, 0], "positionStatus": "undefined"}]
+    content = {"markups": [{"type": "Fiducial", "coordinateSystem": "RAS", "controlPoints": controls}]}
+    path = bundle(tmp_path / "m.mrb", mrml(node), {"S/m.mrk.json": json.dumps(content).encode()})
+    assert main(["import", str(path), "-o", str(tmp_path / "m.mcap")]) == 0
+    with igtl_gateway.open(tmp_path / "m.mcap") as session:
+        assert session["POINT/M"].points()[0].xyz.tolist() == [[1, 2, 3]]
+
+
+def kept(inner: str, values: list[str]) -> dict[str, bytes]:
+    """A scene in the scene, and the nodes of sequences that name it."""
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w") as out:
+        out.writestr("w/w.mrml", mrml(inner))
+    nodes = '<SequenceStorage id="k1" name="K" fileName="w.seq.mrb"></SequenceStorage>' + "".join(
+        f'<Sequence id="s{at}" name="Q{at}" references="storage:k1;" indexUnit="s" indexType="numeric" '
+        f'indexValues="{each}"></Sequence>'
+        for at, each in enumerate(values)
+    )
+    return {"nodes": nodes.encode(), "S/w.seq.mrb": data.getvalue()}
+
+
+WORD = '<Text id="w1" name="W" text="x"></Text>'
+
+
+def test_what_multiplies_in_a_scene_is_refused(tmp_path: Path) -> None:
+    """One item at many times, one file in many sequences, many documents, and many small bombs."""
+    made = kept(WORD, ["w1:0; w1:1;"])
+    path = bundle(tmp_path / "two.mrb", mrml(made.pop("nodes").decode()), made)
+    with pytest.raises(DamagedRecording, match="'w1' at two indexes, expected one"):
+        SceneSource(path)
+    made = kept(WORD + "<A/>" * 5000, ["w1:0;"] * 100)
+    path = bundle(tmp_path / "many.mrb", mrml(made.pop("nodes").decode()), made)
+    source = SceneSource(path)
+    assert len(source._inner) == 1, "one file is read once"
+    source.close()
+    with limits_in_force(FileLimits(fields=99)), pytest.raises(LimitExceeded, match="sequences: found 100"):
+        SceneSource(path)
+    with limits_in_force(FileLimits(free=60_000)), pytest.raises(LimitExceeded, match="bytes of the documents"):
+        SceneSource(path)
+    path = bundle(tmp_path / "still.mrb", mrml(pose() + "".join(pose().replace("t1", f"t{n}") for n in range(2, 32))))
+    with limits_in_force(FileLimits(topics=30)), pytest.raises(LimitExceeded, match="no sequence moves: found 31"):
+        SceneSource(path)
+    with zipfile.ZipFile(tmp_path / "bombs.mrb", "w", zipfile.ZIP_DEFLATED) as out:
+        out.writestr("S/S.mrml", mrml(pose()))
+        for number in range(4):
+            out.writestr(f"S/{number}", bytes(20 << 20))
+    with pytest.raises(LimitExceeded, match="unpacked bytes of all files"):
+        SceneSource(tmp_path / "bombs.mrb")
+
+
 def test_markups_of_another_shape_are_refused(tmp_path: Path) -> None:
     node = (
         '<MarkupsFiducial id="m1" name="M" references="storage:k1;"></MarkupsFiducial>'
         '<MarkupsJsonStorage id="k1" name="K" fileName="Data/m.mrk.json"></MarkupsJsonStorage>'
     )
-    bad: tuple[object, ...] = ({"markups": []}, {"markups": [{"controlPoints": [{"position": [1, 2]}]}]}, [1])
+    point = {"position": [1, 2]}, {"position": [1, 2, float("nan")]}, {"position": [1, 1e300, 2]}
+    bad: tuple[object, ...] = (
+        {"markups": []},
+        *({"markups": [{"type": "Fiducial", "controlPoints": [each]}]} for each in point),
+        [1],
+    )
     for content in bad:
         path = bundle(tmp_path / "m.mrb", mrml(node), {"S/Data/m.mrk.json": json.dumps(content).encode()})
         source = SceneSource(path)
-        with pytest.raises(GatewayError, match="expected markups"):
+        with pytest.raises(GatewayError, match=r"m\.mrk\.json: .*found .*expected"):
             list(source.items())
         source.close()
