@@ -212,7 +212,7 @@ class Listeners:
 def _may_send(peer: Peer, profile: PeerProfile, igtl_type: str) -> bool:
     if igtl_type == "RTS_COMMAND" and profile is not _SILENT and profile.replies is not None:
         return False  # it replies to what another program asked: 3D Slicer logs a warning
-    if profile.may_send(igtl_type):
+    if profile.may_send(igtl_type) or igtl_type in peer.asked:
         return True
     # a listener that is not recognised may have shown that it knows the type
     return profile is _SILENT and split_query(igtl_type) is None and peer.may_send(igtl_type)

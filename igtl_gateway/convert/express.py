@@ -137,7 +137,8 @@ def pose_to_igtl(
         (``source_ns`` if unset) or ``received_ns``; UTC ns. ratio: lengths are multiplied by the first and divided by
         the second number. forms: whole messages as templates, each with the offset of its numbers, and of the 19
         digits of the ROS stamp
-            in its metadata (0: no metadata; −1: metadata without a stamp).
+            in its metadata (0: no metadata; −1: metadata without a stamp; below: minus the offset of the digits of the
+            OpenIGTLink stamp, if ROS has none).
 
     Returns:
         The OpenIGTLink stamp (UTC ns) and the bytes of each form; None if the message differs from the sample in
@@ -171,13 +172,17 @@ def pose_to_igtl(
         numbers = _NUMBERS[size].pack(*position, *rotation)
     made = []
     for template, at, digits_at in forms:
-        if header_ns < _FIRST if digits_at > 0 else digits_at and header_ns:
+        if digits_at > 0:
+            fits = header_ns >= _FIRST
+        else:
+            fits = not digits_at or (not header_ns and (digits_at == -1 or stamp_ns >= _FIRST))
+        if not fits:
             return None  # the metadata would have another size than in the template
         out = bytearray(template)
         U64.pack_into(out, TICKS_AT, ns_to_ticks(stamp_ns))
         out[at : at + size] = numbers
-        if digits_at > 0:
-            out[digits_at : digits_at + _DIGITS] = b"%d" % header_ns
+        if digits_at not in (0, -1):
+            out[abs(digits_at) : abs(digits_at) + _DIGITS] = b"%d" % (header_ns or stamp_ns)
         U64.pack_into(out, CRC_AT, crc64(out[HEADER_SIZE:]))
         made.append(bytes(out))
     return stamp_ns, *made

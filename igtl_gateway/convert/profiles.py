@@ -17,7 +17,7 @@ import numpy.typing as npt
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.geometry import flip_lps_ras
 from igtl_gateway.convert.plus_signs import frame_of_picture, is_any_plus, is_recent_plus
-from igtl_gateway.convert.substitutes import FOR_SLICER, SLICER_READS, Substitute, by_type
+from igtl_gateway.convert.substitutes import FOR_SLICER, SLICER_ASKS, SLICER_READS, Substitute, by_type
 from igtl_gateway.wire import Message, Raw
 from igtl_gateway.wire.fields import decode_text
 from igtl_gateway.wire.image import RAS, Image
@@ -202,6 +202,7 @@ class PeerProfile:
         shows: returns whether only such a peer can send a message; None if no message shows that.
         frame_of_picture: device name of a picture → the frame that it names; "" if it names none.
         instead: type → what the peer gets in place of it, if it does not read it; ``*``: of all other types.
+        if_asked: types that it gets once it has asked for them (GET_, STT_).
         greeting: whether its first message may be a STATUS without a device, whose code it never sets.
         stamped: whether messages in header version 2 have a stamp in their metadata also if ROS has none.
         arm_unit: length unit of the devices of CRTK arms, in both directions; "": that of their row.
@@ -223,6 +224,7 @@ class PeerProfile:
     shows: Callable[[Message], bool] | None = None
     frame_of_picture: Callable[[str], str] = _no_frame
     instead: Mapping[str, Substitute] = field(default_factory=dict)
+    if_asked: frozenset[str] = frozenset()
     greeting: bool = False
     stamped: bool = False
     arm_unit: str = ""
@@ -328,6 +330,7 @@ PROFILES: tuple[PeerProfile, ...] = (
         adapt={Image: _readable_pixels, PolyData: _surface_for_slicer},
         shows=_is_slicer,
         instead=by_type(FOR_SLICER),
+        if_asked=SLICER_ASKS,
         greeting=True,
         stamped=True,
         arm_unit="mm",
@@ -395,6 +398,7 @@ _BEFORE = {
         reads=None,
         adapt={Image: _readable_pixels, PolyData: _nine_components},
         instead={},
+        if_asked=frozenset(),
         stamped=False,
         arm_unit="",
     )

@@ -19,7 +19,7 @@ from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.fields import decode_text, visible
 from igtl_gateway.wire.polydata import F4, SCALAR, Attribute, Cells, PolyData
 from igtl_gateway.wire.registry import read_child
-from igtl_gateway.wire.tracking import QuaternionTrackingData
+from igtl_gateway.wire.tracking import QuaternionTrackingData, TrackingData
 from igtl_gateway.wire.trajectory import ENTRY_ONLY, TARGET_ONLY, Trajectories
 from igtl_gateway.wire.transform import Position, Transform
 
@@ -66,16 +66,19 @@ def _pose(name: str, content: Position) -> Iterator[Shown]:
     yield Shown("TRANSFORM", name, _transform(content.position, content.quaternion))
 
 
-def _tools(_name: str, content: QuaternionTrackingData) -> Iterator[Shown]:
+def _tools(_name: str, content: TrackingData | QuaternionTrackingData) -> Iterator[Shown]:
     """Yield the pose of each tool with its name; of tools of one name the first, as for TDATA in Slicer."""
     elements = content.elements
-    names = [visible(decode_text(name)) for name in elements["name"].tolist()]
-    poses = zip(elements["position"].tolist(), elements["quaternion"].tolist(), strict=True)
     seen: set[str] = set()
-    for tool, (position, quaternion) in zip(names, poses, strict=True):
+    for element in elements:
+        tool = visible(decode_text(bytes(element["name"])))
         if tool and tool not in seen:
             seen.add(tool)
-            yield Shown("TRANSFORM", tool, _transform(position, quaternion))
+            if isinstance(content, TrackingData):
+                yield Shown("TRANSFORM", tool, Transform(tuple(element["matrix"].tolist())))
+            else:
+                position, quaternion = element["position"].tolist(), element["quaternion"].tolist()
+                yield Shown("TRANSFORM", tool, _transform(position, quaternion))
 
 
 def _transform(position: Iterable[float], quaternion: Any) -> Transform:
@@ -109,12 +112,19 @@ def _children(name: str, content: Bind) -> Iterator[Shown]:
         yield Shown(visible(child.type), visible(child.name) or name, read_child(child))
 
 
-#: The types that the connector of 3D Slicer reads.
-SLICER_READS = frozenset("COMMAND IMAGE IMGMETA LBMETA POINT POLYDATA STATUS STRING TDATA TRANSFORM".split())
+#: The types that the connector of 3D Slicer reads, and those that it is sent if it has asked for them.
+SLICER_READS = frozenset("COMMAND IMAGE IMGMETA LBMETA POINT POLYDATA STATUS STRING TRANSFORM".split())
+SLICER_ASKS = frozenset({"TDATA"})
 
 #: What 3D Slicer gets of all other types.
 FOR_SLICER: tuple[Substitute, ...] = (
     Substitute(("POSITION", "QTRANS"), "TRANSFORM", "a pose is a linear transform there", _pose),
+    Substitute(
+        ("TDATA",),
+        "TRANSFORM of each tool",
+        "a tool of TDATA is the identity there until a second message names it; TDATA if it has asked for it",
+        _tools,
+    ),
     Substitute(
         ("QTDATA",),
         "TRANSFORM of each tool",

@@ -73,6 +73,7 @@ class Peer:
         chosen: whether the configuration sets the profile, or a message has shown it without doubt.
         frames: the search for the frames of PLUS; None: they are not searched.
         knows: types that the peer has shown that it knows, beside those of its profile.
+        asked: types that it has asked for, of those that its profile gets only then.
         shown: highest received header version.
         recent: whether all signs of a profile count, and messages have the metadata that a profile expects.
         fitting: the rules by which messages are fitted to it, see ``Config.fitting``.
@@ -93,6 +94,7 @@ class Peer:
     place: str = "ADDRESS"
     frames: TrackedFrames | None = None
     knows: set[str] = field(default_factory=set)
+    asked: set[str] = field(default_factory=set)
     shown: int = 0
     recent: bool = False
     fitting: int = 0
@@ -113,7 +115,7 @@ class Peer:
     def gets(self) -> tuple[object, ...]:
         """What decides which messages the peer gets, and in which form."""
         known = self.missed and not self.may_be_slicer
-        return self.profile, self.chosen, self.version, self.shown > 1, len(self.knows), known
+        return self.profile, self.chosen, self.version, self.shown > 1, len(self.knows), len(self.asked), known
 
     @property
     def may_be_slicer(self) -> bool:
@@ -126,7 +128,7 @@ class Peer:
 
     def may_send(self, igtl_type: str) -> bool:
         """Return whether messages of this type may be sent to the peer."""
-        if self.profile.may_send(igtl_type):
+        if self.profile.may_send(igtl_type) or igtl_type in self.asked:
             return True
         return not self.chosen and (igtl_type in self.knows or (self.profile is UNRECOGNISED and self.shown > 1))
 
@@ -145,11 +147,14 @@ class Peer:
 
     def learn_from(self, message: Message) -> bool:
         """Learn version, profile and types from a message; return whether one of them changed."""
-        before = (self.profile, self.shown, len(self.knows))
+        before = (self.profile, self.shown, len(self.knows), len(self.asked))
         self.shown = max(self.shown, message.header_version)
         if not self.chosen:
             self._recognise(message)
-        return (self.profile, self.shown, len(self.knows)) != before
+        query = split_query(message.type) if self.profile.if_asked else None
+        if query and query[0] in ("GET", "STT") and query[1] in self.profile.if_asked:
+            self.asked.add(query[1])
+        return (self.profile, self.shown, len(self.knows), len(self.asked)) != before
 
     def _recognise(self, message: Message) -> None:
         if profile := profile_shown_by(message, all_signs=self.recent):

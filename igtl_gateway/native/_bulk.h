@@ -1139,8 +1139,7 @@ static uint64_t put_ends(const struct igtl_form *form, const struct found *found
     memcpy(tail, form->tail, (size_t)form->tail_size);
     put_u64(head + TICKS_AT, ns_to_ticks(stamp_ns));
     put_u64(head + BODY_SIZE_AT, (uint64_t)(form->head_size + found->size + form->tail_size - HEADER_SIZE));
-    if (form->digits_at > 0)
-        put_digits(tail + form->digits_at, found->header_ns);
+    put_stamp_digits(tail, form->digits_at, found->header_ns, stamp_ns);
     return crc64_update(0, head + HEADER_SIZE, form->head_size - HEADER_SIZE);
 }
 

@@ -129,12 +129,12 @@ static PyObject *pose_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
             return NULL;
         }
         Py_ssize_t length = PyBytes_GET_SIZE(template);
-        if (at < HEADER_SIZE || at + bytes > length || digits_at + STAMP_DIGITS > length) {
+        if (at < HEADER_SIZE || at + bytes > length || !has_digits(digits_at, length)) {
             PyErr_SetString(PyExc_ValueError, "pose_to_igtl: a form without room for the numbers");
             Py_DECREF(result);
             return NULL;
         }
-        if (!fits_digits(digits_at, header_ns)) {
+        if (!fits_digits(digits_at, header_ns, stamp_ns)) {
             Py_DECREF(result); /* metadata of another size than in the template */
             Py_RETURN_NONE;
         }
@@ -145,7 +145,7 @@ static PyObject *pose_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
         }
         uint8_t *out = (uint8_t *)PyBytes_AS_STRING(message);
         put_u64(out + TICKS_AT, ns_to_ticks(stamp_ns));
-        put_igtl_pose(out, length, at, bytes, digits_at, numbers, header_ns);
+        put_igtl_pose(out, length, at, bytes, digits_at, numbers, header_ns, stamp_ns);
         PyTuple_SET_ITEM(result, 1 + i, message);
     }
     return result;
@@ -325,11 +325,11 @@ static PyObject *bulk_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
             goto failed;
         form->head = (const uint8_t *)PyBytes_AS_STRING(head), form->head_size = PyBytes_GET_SIZE(head);
         form->tail = (const uint8_t *)PyBytes_AS_STRING(tail), form->tail_size = PyBytes_GET_SIZE(tail);
-        if (form->head_size < HEADER_SIZE || (form->digits_at > 0 && form->digits_at + STAMP_DIGITS > form->tail_size)) {
+        if (form->head_size < HEADER_SIZE || !has_digits(form->digits_at, form->tail_size)) {
             PyErr_SetString(PyExc_ValueError, "bulk_to_igtl: a form without room for header or stamp");
             goto failed;
         }
-        if (!fits_digits(form->digits_at, found.header_ns)) {
+        if (!fits_digits(form->digits_at, found.header_ns, stamp_ns)) {
             Py_CLEAR(result); /* metadata of another size than in the template */
             goto general;
         }

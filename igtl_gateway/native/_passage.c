@@ -1579,7 +1579,7 @@ static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize
     for (int i = 0; i < count; i++) {
         built[i] = &stream->outputs[i];
         sizes[i] = built[i]->size;
-        if (!fits_digits(built[i]->digits_at, header_ns))
+        if (!fits_digits(built[i]->digits_at, header_ns, shown_ns))
             return 0;
     }
     if (is_bulk && !build_bulk(self, stream, &found, shown_ns, sizes))
@@ -1607,7 +1607,8 @@ static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize
         if (!is_bulk) {
             memcpy(message, output->template, output->size);
             put_u64(message + TICKS_AT, ns_to_ticks(shown_ns));
-            put_igtl_pose(message, output->size, output->at, stream->from_ros.bytes, output->digits_at, numbers, header_ns);
+            put_igtl_pose(message, output->size, output->at, stream->from_ros.bytes, output->digits_at, numbers, header_ns,
+                          shown_ns);
         }
         const struct iovec whole = {message, (size_t)sizes[i]};
         for (int k = 0; k < output->link_count; k++)
@@ -1684,7 +1685,7 @@ static void count_received(Subscription *self)
     self->last_number = number;
 }
 
-/* A large message to OpenIGTLink: its outputs, with stamps that are still to be set. */
+/* A large message to OpenIGTLink: its outputs, with stamps in the header that are still to be set. */
 struct large_outputs {
     struct output *outputs[MAX_OUTPUTS];
     struct iovec parts[MAX_OUTPUTS][MAX_PARTS];
@@ -1693,11 +1694,15 @@ struct large_outputs {
     uint8_t *made;
 };
 
-/* Make the outputs of a large message, whose pixels stay where they are if they need not be changed; 0: Python's. */
-static int make_large(Stream *stream, const struct found *found, struct large_outputs *large)
+/* Make the outputs of a large message, whose pixels stay where they are if they need not be changed; 0: Python's.
+ *
+ * sent_ns: stamp of its sender; without one, or if it does not count, metadata with the stamp of the message cannot be
+ * made before that is known. */
+static int make_large(Stream *stream, const struct found *found, int64_t sent_ns, struct large_outputs *large)
 {
     struct igtl_form forms[MAX_OUTPUTS] = {{0}};
     int apart = stream->bulk_from_ros.form == PICTURE;
+    int64_t shown_ns = stream->own ? sent_ns : 0;
     ssize_t made = 0;
     large->count = stream->output_count, large->parts_count = apart ? MAX_PARTS : 1;
     large->bytes = 0;
@@ -1706,7 +1711,7 @@ static int make_large(Stream *stream, const struct found *found, struct large_ou
         large->sizes[i] = output->size + found->size + output->tail_size;
         large->bytes += large->sizes[i];
         made += large->sizes[i] - (apart ? found->size : 0);
-        if (!fits_digits(output->digits_at, found->header_ns) || large->bytes > LARGEST_MADE)
+        if (!fits_digits(output->digits_at, found->header_ns, shown_ns) || large->bytes > LARGEST_MADE)
             return 0;
     }
     uint8_t *end = large->made = malloc((size_t)made + 1);
@@ -1725,8 +1730,8 @@ static int make_large(Stream *stream, const struct found *found, struct large_ou
         }
     }
     if (end && apart)
-        frame_pixels(found, forms, large->count, 0);
-    return end && (apart || bulk_from_ros(&stream->bulk_from_ros, found, forms, large->count, 0));
+        frame_pixels(found, forms, large->count, shown_ns);
+    return end && (apart || bulk_from_ros(&stream->bulk_from_ros, found, forms, large->count, shown_ns));
 }
 
 /* Whether a link of a stream has more to send than the passage may add to. */
@@ -1780,7 +1785,7 @@ static int pass_large_to_igtl(Subscription *self, Stream *stream, struct kept *k
     uint8_t *slots[1 + MAX_OUTPUTS] = {NULL};
     int passes = unfilled && stream->is_bulk &&
                  find_in_ros(&stream->bulk_from_ros, kept->message.buffer, (ssize_t)kept->message.length, &found) &&
-                 make_large(stream, &found, &large);
+                 make_large(stream, &found, self->info.source_ns, &large);
     int64_t converted_ns = clock_ns(CLOCK_MONOTONIC), locked_ns = converted_ns;
     if (passes) {
         wait_for_sequence(passage);
@@ -2389,7 +2394,7 @@ static PyObject *passage_to_igtl(Passage *self, PyObject *args)
         if (!PyArg_ParseTuple(PyTuple_GET_ITEM(outputs, i), "y#nnKsO!", &template, &length, &at, &digits_at, &number,
                               &channel, &PyTuple_Type, &links))
             goto failed;
-        if (at < HEADER_SIZE || at + bytes > length || digits_at + STAMP_DIGITS > length) {
+        if (at < HEADER_SIZE || at + bytes > length || !has_digits(digits_at, length)) {
             PyErr_SetString(PyExc_ValueError, "to_igtl: an output without room for the numbers");
             goto failed;
         }
@@ -2437,7 +2442,7 @@ static PyObject *passage_to_igtl_bulk(Passage *self, PyObject *args)
         if (!PyArg_ParseTuple(PyTuple_GET_ITEM(outputs, i), "y#y#nKspO!", &head, &at, &tail, &rest, &digits_at, &number,
                               &channel, &keep, &PyTuple_Type, &links))
             goto failed;
-        if (at < HEADER_SIZE || (digits_at > 0 && digits_at + STAMP_DIGITS > rest)) {
+        if (at < HEADER_SIZE || !has_digits(digits_at, rest)) {
             PyErr_SetString(PyExc_ValueError, "to_igtl_bulk: an output without room for header or stamp");
             goto failed;
         }

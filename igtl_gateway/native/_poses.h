@@ -219,20 +219,41 @@ static int pose_from_ros(const struct ros_poses *stream, const uint8_t *cdr, ssi
     return numbers_of_pose(cdr + size - POSE_BYTES, stream->bytes, stream->times, stream->by, numbers);
 }
 
-/* Return whether metadata with this stamp has the size of that in a template; digits_at as in express.py. */
-static int fits_digits(ssize_t digits_at, int64_t header_ns)
+/* Whether the digits are those of the message's stamp; digits_at as in express.py, here and below. */
+static int is_shown(ssize_t digits_at) { return digits_at < -1; }
+
+/* Return whether the digits have room. */
+static int has_digits(ssize_t digits_at, ssize_t size)
 {
+    if (is_shown(digits_at))
+        return digits_at >= -size && STAMP_DIGITS - digits_at <= size;
+    return digits_at <= 0 || (digits_at <= size && digits_at + STAMP_DIGITS <= size);
+}
+
+/* Return whether metadata with the stamp of ROS, or that of the message, has the size of that in a template. */
+static int fits_digits(ssize_t digits_at, int64_t header_ns, int64_t stamp_ns)
+{
+    if (is_shown(digits_at))
+        return !header_ns && stamp_ns >= FIRST_OF_19_DIGITS;
     return digits_at > 0 ? header_ns >= FIRST_OF_19_DIGITS : !(digits_at < 0 && header_ns);
+}
+
+/* Write the digits, if there are any. */
+static void put_stamp_digits(uint8_t *bytes, ssize_t digits_at, int64_t header_ns, int64_t stamp_ns)
+{
+    if (is_shown(digits_at))
+        put_digits(bytes - digits_at, stamp_ns);
+    else if (digits_at > 0)
+        put_digits(bytes + digits_at, header_ns);
 }
 
 /* Fill numbers, digits and CRC into a copy of a template; the stamp of the header is put separately. */
 static void put_igtl_pose(uint8_t *message, ssize_t size, ssize_t at, ssize_t bytes, ssize_t digits_at,
-                          const double *numbers, int64_t header_ns)
+                          const double *numbers, int64_t header_ns, int64_t stamp_ns)
 {
     for (ssize_t k = 0; k < bytes / 4; k++)
         put_f32(message + at + 4 * k, numbers[k]);
-    if (digits_at > 0)
-        put_digits(message + digits_at, header_ns);
+    put_stamp_digits(message, digits_at, header_ns, stamp_ns);
     put_u64(message + CRC_AT, crc64(message + HEADER_SIZE, size - HEADER_SIZE));
 }
 

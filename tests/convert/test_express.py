@@ -228,6 +228,20 @@ def test_the_digits_of_the_stamp_stand_in_the_metadata(functions: Pair) -> None:
     )
 
 
+@pytest.mark.parametrize(("own", "source_ns"), [(True, T0_NS + 9), (True, 0), (False, T0_NS + 9)])
+@pytest.mark.parametrize("size", [MATRIX, QUATERNION])
+def test_without_a_stamp_of_ros_the_digits_may_be_those_of_the_message(
+    functions: Pair, size: int, own: bool, source_ns: int
+) -> None:
+    cdr, one = tool((1.0, 2.0, 3.0), stamp_ns=0), (Item("ros.stamp", b"1" * 19),)
+    at = wire(TURN if size == MATRIX else SENT, 1, 2, one).index(b"1" * 19)
+    made = sent(functions[1], cdr, size=size, items=one, digits=-at, own=own, source_ns=source_ns)
+    shown_ns = source_ns if own and source_ns else RECEIVED_NS
+    assert made == (shown_ns, by_the_full_path(cdr, size, shown_ns, (Item("ros.stamp", b"%d" % shown_ns),)))
+    assert sent(functions[1], cdr, size=size, items=one, digits=-at, source_ns=999) is None
+    assert sent(functions[1], tool((1.0, 2.0, 3.0)), size=size, items=one, digits=-at) is None
+
+
 @pytest.mark.parametrize(("header_ns", "digits"), [(999, None), (0, None), (T0_NS, -1)])
 def test_metadata_of_another_size_are_left_to_the_full_path(
     functions: Pair, header_ns: int, digits: int | None

@@ -11,7 +11,7 @@ from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway.wire.registry import BODIES
 from igtl_gateway.wire.text import String
-from igtl_gateway.wire.tracking import QTRACKING_DTYPE, QuaternionTrackingData
+from igtl_gateway.wire.tracking import QTRACKING_DTYPE, TRACKING_DTYPE, QuaternionTrackingData, TrackingData
 from igtl_gateway.wire.trajectory import TRAJECTORY_DTYPE, Trajectories
 from igtl_gateway.wire.transform import Position, Transform
 from tests.tables import table
@@ -58,6 +58,18 @@ def test_each_tool_is_a_pose_of_its_own_and_of_one_name_the_first() -> None:
     found = shown("QTDATA", "Tracker", QuaternionTrackingData(elements))
     assert [(one.igtl_type, one.name) for one in found] == [("TRANSFORM", "A"), ("TRANSFORM", "B")]
     assert [one.content.rows[0][3] for one in found if isinstance(one.content, Transform)] == [0.0, 3.0]
+
+
+def test_so_is_each_tool_with_a_matrix() -> None:
+    elements = np.zeros(3, TRACKING_DTYPE)
+    elements["name"] = [b"A", b"B", b"A"]
+    elements["matrix"] = np.arange(36).reshape(3, 12)
+    found = shown("TDATA", "Tracker", TrackingData(elements))
+    assert [(one.igtl_type, one.name) for one in found] == [("TRANSFORM", "A"), ("TRANSFORM", "B")]
+    assert [one.content.wire_matrix for one in found if isinstance(one.content, Transform)] == [
+        tuple(range(12)),
+        tuple(range(12, 24)),
+    ]
 
 
 def test_a_plan_is_lines_with_its_colours() -> None:

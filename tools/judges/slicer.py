@@ -223,10 +223,6 @@ SHOWN: dict[str, tuple[Callable[[Json], Any], Callable[[Json], Any]]] = {
         lambda event: [each[1:] for each in event["points"]],
         lambda content: [list(map(float, each["position"])) for each in content["elements"]],
     ),
-    "TDATA": (
-        lambda event: event["tools"],
-        lambda content: [[each["name"], matrix(each["matrix"])] for each in content["elements"]],
-    ),
     "IMGMETA": (
         lambda event: [each[0] for each in event["elements"]],
         lambda content: [
@@ -246,6 +242,11 @@ SHOWN: dict[str, tuple[Callable[[Json], Any], Callable[[Json], Any]]] = {
 #: Type that it does not read → the node that is shown in its place, how that is read, and what it must be.
 INSTEAD: dict[str, Callable[[Sent], tuple[str, Callable[[Json], Any], Any]]] = {
     "POSITION": lambda one: (one.device, SHOWN["TRANSFORM"][0], matrix(MOVED)),
+    "TDATA": lambda one: (
+        one.content["elements"][0]["name"],
+        SHOWN["TRANSFORM"][0],
+        matrix(one.content["elements"][0]["matrix"]),
+    ),
     "QTDATA": lambda one: (one.content["elements"][0]["name"], SHOWN["TRANSFORM"][0], matrix(MOVED)),
     "TRAJ": lambda one: (
         one.device,
@@ -259,7 +260,6 @@ INSTEAD: dict[str, Callable[[Sent], tuple[str, Callable[[Json], Any], Any]]] = {
     ),
 }
 NO_NODE = "it has no node for this type; nothing is sent, and its log stays empty"
-LATE_TOOLS = "a tool is the identity until a second message names it: its fault"
 
 
 def _shown(place: Place, one: Sent) -> Row:
@@ -273,12 +273,8 @@ def _shown(place: Place, one: Sent) -> Row:
         return Row(one.type, TO_IGTL, CANNOT, 1, NO_NODE)
     shows, wants = SHOWN[one.type]
     event, wanted = place.slicer.node(one.device), wants(one.content)
-    is_late = one.type == "TDATA" and not same(shows(event), wanted)
-    if is_late:
-        place.node.publish(one.topic, one.fields)
-        event = place.slicer.node(one.device)
     assert same(got := shows(event), wanted), f"{one}: {got}, expected {wanted}"
-    return Row(one.type, TO_IGTL, DIFFERS if is_late else EXACT, 1, LATE_TOOLS * is_late)
+    return Row(one.type, TO_IGTL, EXACT)
 
 
 # ── random values, in physical units ───────────────────────────────────────────────────────────────────────────────

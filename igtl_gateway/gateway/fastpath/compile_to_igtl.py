@@ -37,12 +37,13 @@ from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer
 from igtl_gateway.gateway.to_igtl.origin import IgtlOrigin
-from igtl_gateway.gateway.to_igtl.sender import OutboundMessage, gets_stamp, send
+from igtl_gateway.gateway.to_igtl.sender import OutboundMessage, send
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.header import HEADER_SIZE
 from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD
+from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.message import EXTENDED_SIZE
-from igtl_gateway.wire.polydata import PolyData
+from igtl_gateway.wire.polydata import Cells, PolyData
 
 #: Conversion function of a pose → number of bytes of its content in OpenIGTLink.
 _TO_IGTL: dict[Callable[..., Any], int] = {
@@ -71,6 +72,7 @@ TYPES = frozenset(
         *(rosmsg.Image, rosmsg.Mesh, rosmsg.Marker, TrackingData, PoseArray),
     )
 )
+_CLOUD_OF_ONE = PolyData(np.zeros((1, 3), ">f4"), vertices=Cells.of(np.zeros((1, 1), int)))
 _SMALL = PolyData(np.zeros((1, 3), ">f4"))
 _LITTLE_ENDIAN = b"\x00\x01"
 _POSE_SIZE = 56
@@ -116,9 +118,10 @@ def compile_to_igtl(
     if names is None:
         return None
     told = [replace(peer) for peer in peers]  # this sends nothing
-    first, second = (
-        send(entry, replace(out, ros_stamp_ns=stamp_ns if out.ros_stamp_ns else 0), told) for stamp_ns in _TWO_STAMPS
-    )
+    sign = 1 if out.ros_stamp_ns else -1  # the digits are those of the ROS stamp, or of the message's
+    which = "ros_stamp_ns" if out.ros_stamp_ns else "stamp_ns"
+    stamps: list[dict[str, Any]] = [{which: stamp_ns} for stamp_ns in _TWO_STAMPS]
+    first, second = (send(entry, replace(out, **stamp), told) for stamp in stamps)
     if first.findings or not first.outputs:
         return None
     outputs: list[tuple[Output, tuple[Any, ...]]] = []
@@ -128,8 +131,10 @@ def compile_to_igtl(
         at = HEADER_SIZE + (0 if version_1 else EXTENDED_SIZE) + extra
         head, tail = template[:at], template[at + content :]
         digits_at = 0 if version_1 else _difference(tail, join(other.payload)[at + content :])
+        if digits_at > 0:
+            digits_at = sign * (digits_at + (at + content if size else 0))
         if size:
-            outputs.append((one, (template, at, at + content + digits_at if digits_at > 0 else digits_at)))
+            outputs.append((one, (template, at, digits_at)))
         else:
             outputs.append((replace(one, payload=()), (head, tail, digits_at)))
     own = common.config.stamp_of(stream.row) == SOURCE
@@ -160,15 +165,19 @@ def _is_of_its_own(out: OutboundMessage, peer: Peer) -> bool:
     """Return whether a peer may get other messages of a stream than others, or at another pace."""
     if out.igtl_type in peer.paced_types or _is_adapted(out.content, peer):
         return True
-    if gets_stamp(out, peer):  # the stamp is not that of the CDR, which is what is filled in
-        return True
     return peer.must_wait(out.igtl_type) or (out.in_unit is not None and bool(peer.profile.arm_unit))
 
 
 def _is_adapted(content: Body, peer: Peer) -> bool:
-    """Return whether a peer may get other contents of a stream; the attributes of a surface are part of the sample."""
+    """Return whether a peer may get other contents of a stream.
+
+    The attributes of a surface, and type and orientation of the pixels, are part of the sample; whether a cloud has
+    points is not.
+    """
     adapt = peer.profile.adapt.get(type(content))
-    return adapt is not None and not (isinstance(content, PolyData) and adapt(content)[0] is content)
+    if isinstance(content, PolyData) and not content.polygons.count:
+        content = _CLOUD_OF_ONE
+    return adapt is not None and not (isinstance(content, (PolyData, Image)) and adapt(content)[0] is content)
 
 
 def _difference(one: bytes, other: bytes) -> int:

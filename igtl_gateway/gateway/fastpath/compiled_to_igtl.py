@@ -79,7 +79,7 @@ class CompiledToIgtl:
             return False
         made = self._convert(payload, source_ns, _NO_TIME)
         if made is None:
-            return True
+            return source_ns > 0  # without a stamp of the sender, its metadata may have that of the gateway
         return made if made[0] != _NO_TIME else False
 
     def _convert(self, payload: Sequence[Buffer], source_ns: int, stamp_ns: int) -> tuple[Any, ...] | None:

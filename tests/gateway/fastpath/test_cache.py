@@ -26,7 +26,7 @@ from igtl_gateway.gateway.log.changes import SETTING
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.peers import MAX_RELEASES
-from igtl_gateway.wire import HEADER_SIZE, Item, Message, encode
+from igtl_gateway.wire import HEADER_SIZE, Item, Message, decode, encode
 from igtl_gateway.wire.header import crc64
 from igtl_gateway.wire.image import SCALARS, Image
 from igtl_gateway.wire.message import EXTENDED_SIZE
@@ -418,6 +418,8 @@ CONFIGS = (
     ),
     Config(watch=True),
     Config().watched(),
+    Config(profile="slicer"),
+    Config(profile="slicer", stamp="receive", fitting=1),
     Config(
         watch=True,
         to_ros=(ToRosRow(device="A", max_age_s=3.0),),
@@ -677,6 +679,60 @@ def test_and_of_a_topic(made: Any, version: int) -> None:
         message = made(count)
         session.input(T0_NS, Kind.ROS_IN, (message.pack(),), channel="/igtl/out/T", type_name=message.TYPE)
     assert general == [Kind.IGTL_IN, Kind.ROS_IN]
+
+
+@compiled
+@pytest.mark.parametrize("stamp_ns", [0, T0_NS])
+@pytest.mark.parametrize("stamp", ["source", "receive"])
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda ns, n: replace(TOOL, header=rosmsg.Header(ns, "base"), translation=(n, 0.0, 0.0)),
+        lambda ns, n: PoseStamped(rosmsg.Header(ns, "base"), (n, *TOOL_POSE)),
+        lambda _ns, n: rosmsg.String("text" * n),
+        lambda ns, n: rosmsg.Image(rosmsg.Header(ns, "map"), 2, 2, "bgr8", 0, 6, bytes([n]) * 12),
+        lambda ns, n: rosmsg.Image(rosmsg.Header(ns, "map"), 200, 200, "mono8", 0, 200, bytes([n]) * 40_000),
+        lambda _ns, n: rosmsg.Mesh(np.zeros((n, 3), np.uint32), ROWS[:n]),
+    ],
+    ids=["transform", "pose", "text", "picture", "large picture", "mesh"],
+)
+def test_and_of_one_for_slicer_with_its_stamp_in_the_metadata(made: Any, stamp: str, stamp_ns: int) -> None:
+    config = Config(profile="slicer", stamp=stamp).watched()
+    session, general = watched_session(config)
+    other = Session(Gateway(config, fast_path=False))
+    up = Note(Level.INFO, LINK_UP, "", data={"peer": "127.0.0.1:1", "role": "server"})
+    other.input(T0_NS, Kind.LINK, (up.pack(),), links=(1,))
+    shown = join(encode(Message("STATUS", "Peer", Status(1), header_version=2)))
+    for one in (session, other):
+        one.input(T0_NS, Kind.IGTL_IN, (shown,), links=(1,))
+    for number in (1, 5, 6, 30):
+        message = made(stamp_ns, number)
+        told = [
+            one.input(
+                T0_NS + number * NS_PER_S,
+                Kind.ROS_IN,
+                (message.pack(),),
+                channel="/igtl/out/T",
+                type_name=message.TYPE,
+                source_ns=T0_NS + number * NS_PER_S,
+            )
+            for one in (session, other)
+        ]
+        found, expected = ([_plain(entry) for entry in entries if entry.kind is not Kind.NOTE] for entries in told)
+        assert found == expected and b"ros.stamp" in found[-1][-1]
+    assert general == [Kind.IGTL_IN, Kind.ROS_IN]
+
+
+@compiled
+def test_clouds_for_slicer_have_lines_also_after_an_empty_one() -> None:
+    session, _ = watched_session(Config(profile="slicer"))
+    for count in (0, 0, 3):
+        header, xyz = rosmsg.Header(T0_NS, "m"), fields("x", "y", "z")
+        cloud = rosmsg.PointCloud2(header, 1, count, xyz, False, 12, 12 * count, bytes(12 * count), True)
+        entries = session.input(T0_NS, Kind.ROS_IN, (cloud.pack(),), channel="/igtl/out/T", type_name=cloud.TYPE)
+    (sent,) = [decode(entry.data()) for entry in entries if entry.kind is Kind.IGTL_OUT]
+    assert isinstance(sent.content, PolyData)
+    assert sent.content.lines.lists() == [[0, 0], [1, 1], [2, 2]] and not sent.content.vertices.count
 
 
 @pytest.fixture(params=[True, False], ids=["AVX2", "plain"])

@@ -569,6 +569,43 @@ def test_pictures_and_large_clouds_pass_natively(
         check_recording(path, config, here.bridge.losses)
 
 
+@pytest.mark.parametrize("stamped", [False, True])
+def test_what_slicer_gets_with_its_stamp_as_metadata_passes_natively(
+    stamped: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A peer of header version 2 that shows no stamp of the header, beside one of version 1."""
+    path, config, side = tmp_path / "session.mcap", Config(profile="slicer").watched(), 300
+    topics = {"/igtl/out/rgb", "/igtl/out/bgr", "/igtl/out/small", "/igtl/out/text", TOPIC}
+    with scene(monkeypatch, config, path) as here:
+        peers = [here.connect(), here.connect()]
+        peers[0].send(join(encode(Message("STATUS", "Peer", Status(1), header_version=2))))
+        wait_for(lambda: here.received("igtl_in") == 1)
+
+        def send(number: int) -> None:
+            now_ns = time.time_ns()
+            header, pixels = Header(now_ns if stamped else 0, "base"), bytes([number]) * (3 * side * side)
+            for message, topic in (
+                (rosmsg.Image(header, side, side, "rgb8", 0, 3 * side, pixels), "/igtl/out/rgb"),
+                (rosmsg.Image(header, side, side, "bgr8", 0, 3 * side, pixels), "/igtl/out/bgr"),
+                (rosmsg.Image(header, 20, 20, "mono8", 0, 20, pixels[:400]), "/igtl/out/small"),
+                (rosmsg.String(f"text {number}"), "/igtl/out/text"),
+                (TransformStamped(header, "tool", (0.001 * number, 0.2, 0.3), (0.0, 0.0, 0.6, 0.8)), TOPIC),
+            ):
+                here.send_ros(message, topic, now_ns)
+            wait_for(lambda: here.received("ros_in") == 5 * (number + 1))
+
+        for number in range(26):
+            send(number)
+        assert here.native == len(topics)
+        with counted_by_python(here) as handled:
+            send(26)
+        assert handled == []
+        wait_for(lambda: all(len(peer.received) >= 5 * 27 for peer in peers))
+        assert all(b"ros.stamp" in message for message in peers[0].received[-5:])
+        assert not any(b"ros.stamp" in message for message in peers[1].received)
+    check_recording(path, config, here.bridge.losses)
+
+
 def test_what_the_recorder_needs_leaves_recorded_messages_native(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

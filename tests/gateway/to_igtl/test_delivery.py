@@ -9,6 +9,7 @@ from igtl_gateway.config.configuration import Config, TfOutRow, ToIgtlRow
 from igtl_gateway.convert import profiles, rosmsg
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.convert.igtl_msgs import TrackedTool, TrackingData
+from igtl_gateway.gateway.fastpath import compile_to_igtl
 from igtl_gateway.wire import Item, Message
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.query import StartTracking
@@ -72,6 +73,7 @@ def test_where_tracking_data_goes_out_none_is_made_of_single_poses() -> None:
 def test_an_image_is_adapted_once_for_all_peers_of_a_profile(
     encoding: str, scalar_type: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(compile_to_igtl, "TYPES", frozenset())  # which adapts the first one for itself
     adapted: list[Image] = []
     before = profiles.BY_NAME["slicer"].adapt[Image]
     monkeypatch.setitem(

@@ -13,7 +13,7 @@ from igtl_gateway.base.buffers import join
 from igtl_gateway.base.stamp import ns_to_ticks
 from igtl_gateway.config.configuration import Config, PeerRow, ToIgtlRow
 from igtl_gateway.convert import rosmsg
-from igtl_gateway.convert.common_msgs import MultiArrayLayout, PoseStamped
+from igtl_gateway.convert.common_msgs import MultiArrayLayout, PoseArray, PoseStamped
 from igtl_gateway.convert.igtl_msgs import TrackedTool, TrackingData, Trajectory, TrajectoryList
 from igtl_gateway.convert.multi_arrays import MULTI_ARRAYS
 from igtl_gateway.convert.raw import raw_message
@@ -23,6 +23,7 @@ from igtl_gateway.gateway.naming import ShownNames
 from igtl_gateway.wire import Item, Message, Raw, encode
 from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.polydata import PolyData
+from igtl_gateway.wire.query import EmptyQuery, StartTracking
 from igtl_gateway.wire.registry import BODIES
 from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.transform import Transform
@@ -30,7 +31,7 @@ from tests.script import T0_NS, Script
 from tests.tables import table
 
 HELLO = Message("STATUS", "", Status(1), 0, 2, 0, (Item.of("dummy", "dummy"),))
-READS = "COMMAND IMAGE IMGMETA LBMETA POINT POLYDATA RTS_COMMAND RTS_TDATA STATUS STRING TDATA TRANSFORM".split()
+READS = "COMMAND IMAGE IMGMETA LBMETA POINT POLYDATA RTS_COMMAND RTS_TDATA STATUS STRING TRANSFORM".split()
 FACING = (0.0, 0.0, 0.0, 1.0)
 POSITION = ToIgtlRow(topic="/pose", device="Tool", type="POSITION")
 
@@ -105,6 +106,28 @@ def test_each_tool_of_tracking_data_is_a_transform() -> None:
         "note shown_instead",
         "note shown_instead",
     ]
+
+
+def test_poses_that_come_once_are_transforms() -> None:
+    """In 3D Slicer a tool of TDATA is the identity until the second message that names it."""
+    made = script(ToIgtlRow(topic="/grasps", device="Grasps"))
+    poses = PoseArray(Header(T0_NS, "base"), np.array([[0.001, 0, 0, *FACING], [0.002, 0, 0, *FACING]]))
+    lines = ["igtl TDATA/Grasps v1 to 2", "igtl TRANSFORM/Tool1 v2 to 1", "igtl TRANSFORM/Tool2 v2 to 1"]
+    assert made.ros("/grasps", poses) == [*lines, "note shown_instead", "note shown_instead"]
+    one, other = (sent.content for sent in made.sent()[1:])
+    assert isinstance(one, Transform) and isinstance(other, Transform)
+    assert (one.rows[0][3], other.rows[0][3]) == (1.0, 2.0)
+
+
+@pytest.mark.parametrize("query", ["STT_TDATA", "GET_TDATA"])
+def test_slicer_gets_the_tracking_data_that_it_asks_for(query: str) -> None:
+    made = script(ToIgtlRow(topic="/tracking", device="Polaris", type="TDATA"))
+    made.ros("/tracking", tools("Probe"))
+    made.igtl(Message(query, "Polaris", StartTracking(0) if query[0] == "S" else EmptyQuery(), 0, 2))
+    for _ in range(3):
+        made.now_ns += 50_000_000
+        lines = made.ros("/tracking", tools("Probe"))
+        assert {line for line in lines if " v2 to 1" in line} == {"igtl TDATA/Polaris v2 to 1"}
 
 
 def test_a_substitute_has_no_name_of_another_stream() -> None:
@@ -200,7 +223,7 @@ def test_each_message_to_slicer_has_its_stamp_as_metadata_if_it_reads_them(versi
     made.igtl(Message("STATUS", "", Status(1)) if version == 1 else HELLO)
     made.igtl(Message("STRING", "A", String.of("x"), 0, version))
     source_ns = T0_NS + 5
-    for _ in range(3):  # a compiled stream would fill in the stamp of the CDR
+    for _ in range(3):
         made.ros("/igtl/out/Text", rosmsg.String("x"), source_ns=source_ns)
         (sent,) = made.sent()
         items = {item.key: item.text for item in sent.metadata}
