@@ -58,7 +58,7 @@ def test_a_volume_that_slicer_wrote(tmp_path: Path, node: str, components: int, 
     assert np.allclose(corners(image), places(), atol=1e-4)
 
 
-@pytest.mark.parametrize("suffix", [".seq.nrrd"])
+@pytest.mark.parametrize("suffix", [".seq.nrrd", ".seq.mha"])
 def test_a_sequence_of_volumes_that_slicer_wrote(tmp_path: Path, suffix: str) -> None:
     scene = slicer.new_scene(tmp_path / "cache")
     sequence = slicer.new_node(scene, "Sequence")
