@@ -416,8 +416,9 @@ class _SceneWriter:
         tag = _VECTOR if many else _VOLUME
         is_bytes = first.expected_bytes == math.prod(first.dimensions) * first.num_components
         levels = {"window": 255, "level": 127.5, "autoWindowLevel": 0} if is_bytes else {"autoWindowLevel": 1}
-        colours = [("color", "" if many else "vtkMRMLColorTableNodeGrey")]
-        display = self.scene.add(f"{tag}Display", f"{track.name} display", levels, colours, hidden=True)
+        # A reference of the role "color" is ignored; without a table the slices draw nothing and log errors.
+        colours = {} if many else {"colorNodeID": "vtkMRMLColorTableNodeGrey"}
+        display = self.scene.add(f"{tag}Display", f"{track.name} display", {**levels, **colours}, hidden=True)
         node = self.scene.add(tag, track.name, _volume_values(begin), [("display", display), ("transform", above)])
         sequence = self._sequence(track, "VolumeSequenceStorage", f"{DATA}/{token}.seq.nhdr", "seq.nrrd", name=token)
         self._played.append((sequence, node, track))

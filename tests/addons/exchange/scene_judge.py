@@ -59,11 +59,26 @@ def content_of(node: Any) -> Any:
     return node.GetText() if node.IsA("vtkMRMLTextNode") else None
 
 
+def drawn_pictures(scene: Any) -> dict[str, np.ndarray]:
+    """The colours of each volume as a slice view gets them from its display node, RGBA."""
+    drawn = {}
+    for number in range(scene.GetNumberOfNodesByClass("vtkMRMLVolumeNode")):
+        volume = scene.GetNthNodeByClass(number, "vtkMRMLVolumeNode")
+        port = volume.GetDisplayNode().GetImageDataConnection()
+        port.GetProducer().Update()
+        drawn[volume.GetName()] = vtk_to_numpy(port.GetProducer().GetOutput().GetPointData().GetScalars()).copy()
+    return drawn
+
+
 def opened(path: Path) -> tuple[Any, Any]:
     """The scene of a file, and the logic that plays it."""
     scene, logic = slicer.vtkMRMLScene(), slicer.vtkSlicerSequencesLogic()
     scene.RegisterNodeClass(slicer.vtkMRMLMarkupsJsonStorageNode())
     logic.SetMRMLScene(scene)
+    colours = slicer.vtkMRMLColorLogic()
+    colours.SetMRMLScene(scene)
+    colours.AddDefaultColorNodes()
+    scene.colours = colours  # without the logic, its nodes go
     cache, data = slicer.vtkCacheManager(), slicer.vtkDataIOManager()
     cache.SetRemoteCacheDirectory(tempfile.mkdtemp())
     data.SetCacheManager(cache)
@@ -75,7 +90,7 @@ def opened(path: Path) -> tuple[Any, Any]:
         scene.SetRootDirectory(str(path.parent))
         assert scene.Connect()
     else:
-        assert scene.ReadFromMRB(str(path), True)
+        assert scene.ReadFromMRB(str(path), False)
     return scene, logic
 
 
@@ -122,6 +137,7 @@ def main(path: Path, out: Path) -> None:
             if browser.GetProxyNode(node).IsA("vtkMRMLTransformNode")
         }
         found["played"].append((leader.GetNthIndexValue(number), [moved.get(node.GetID()) for node in nodes]))
+    found["drawn"] = drawn_pictures(scene)
     for number in range(scene.GetNumberOfNodesByClass("vtkMRMLTableNode")):
         table = scene.GetNthNodeByClass(number, "vtkMRMLTableNode")
         columns = [table.GetTable().GetColumn(n) for n in range(table.GetTable().GetNumberOfColumns())]

@@ -136,6 +136,16 @@ def test_pictures_lie_below_the_transform_of_their_frame(scene: Callable[[str], 
     assert not item_at(one, 0)["pixels"].any(), "an empty one before the first"
 
 
+@pytest.mark.parametrize(("name", "picture"), [("ultrasound", "Image_Probe"), ("star", "star/camera/image")])
+def test_slices_draw_pictures_in_their_colours(scene: Callable[[str], Scene], name: str, picture: str) -> None:
+    found, _, _ = scene(name)
+    (one,) = (each for each in found["sequences"] if each["name"] == picture)
+    last = item_at(one, round(float(found["played"][-1][0]) * 1000))["pixels"]
+    drawn = found["drawn"][picture][:, :3].astype(int)
+    assert last.any()
+    assert np.abs(drawn - last.reshape(len(last), -1)).max() <= 1
+
+
 def test_surfaces_points_and_texts_are_the_recorded_ones(scene: Callable[[str], Scene]) -> None:
     found, _, _ = scene("star")
     with igtl_gateway.open(FIXTURES / "star.mcap") as recording:
