@@ -31,6 +31,8 @@ from igtl_gateway.addon import (
     files,
     join,
     limits,
+    make_folder,
+    open_new,
     parse_xml,
     whole_number,
 )
@@ -173,7 +175,7 @@ class Bundle(_Files):
             raise DamagedRecording(f"{self.where}: found no {wanted[:80]!r} in the bundle, expected the file of a node")
         if wanted not in self._done:
             path = Path(self._room.name) / f"{len(self._done)}" / PurePosixPath(wanted).name
-            path.parent.mkdir()
+            make_folder(path.parent)
             self._unpack(info, path)
             self._done[wanted] = path
             if path.name.endswith(".nhdr"):
@@ -183,7 +185,7 @@ class Bundle(_Files):
     def _unpack(self, info: zipfile.ZipInfo, path: Path) -> None:
         deadline = files.deadline_of(self._path)
         size = 0
-        with library_errors_as_damage(self._path), self._zip.open(info) as old, path.open("xb") as new:
+        with library_errors_as_damage(self._path), self._zip.open(info) as old, open_new(path) as new:
             while part := old.read(_COPIED):
                 size += len(part)
                 deadline.check(self.where)

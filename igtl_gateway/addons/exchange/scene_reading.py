@@ -361,7 +361,7 @@ class SceneReading:
             if self.store.direct or key == self.direct:
                 track.stream = self.store.opened(track.file)
             else:
-                track.stream = self.store.waiting(track.file).open("xb")
+                track.stream = open_new(self.store.waiting(track.file))
         if why := track.mismatch(image):
             row.fail(why)
             return None
