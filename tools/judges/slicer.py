@@ -26,6 +26,7 @@ import numpy.typing as npt
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
+from igtl_gateway.convert.names import name_hash, short_device_name
 from tests.integration.bridge import Bridge, Program, RosClient, free_port, gateway
 from tests.integration.test_ros_types import MOVED, OUTGOING, SERVICE, Sent, hexed, rows_of_the_command_line, xyz
 from tools.judges import results
@@ -239,6 +240,12 @@ SHOWN: dict[str, tuple[Callable[[Json], Any], Callable[[Json], Any]]] = {
 }
 
 
+def _second_name(one: Sent) -> str:
+    """The device of the first tool, whose name a stream of TDATA has already."""
+    name = one.content["elements"][0]["name"]
+    return short_device_name(f"{name}_{name_hash(f'{one.type}/{one.device}{name}')}")
+
+
 #: Type that it does not read → the node that is shown in its place, how that is read, and what it must be.
 INSTEAD: dict[str, Callable[[Sent], tuple[str, Callable[[Json], Any], Any]]] = {
     "POSITION": lambda one: (one.device, SHOWN["TRANSFORM"][0], matrix(MOVED)),
@@ -247,7 +254,7 @@ INSTEAD: dict[str, Callable[[Sent], tuple[str, Callable[[Json], Any], Any]]] = {
         SHOWN["TRANSFORM"][0],
         matrix(one.content["elements"][0]["matrix"]),
     ),
-    "QTDATA": lambda one: (one.content["elements"][0]["name"], SHOWN["TRANSFORM"][0], matrix(MOVED)),
+    "QTDATA": lambda one: (_second_name(one), SHOWN["TRANSFORM"][0], matrix(MOVED)),
     "TRAJ": lambda one: (
         one.device,
         lambda event: list(map(shown_model(event).get, ("points", "lines"))),

@@ -42,6 +42,8 @@ _ENOUGH = 3
 _SAID_NS = 20 * NS_PER_MS
 #: Least ages that differ by more are rather an offset of clocks: few streams that are joined are so late at the least.
 _UNLIKELY_NS = 100 * NS_PER_MS
+#: Streams that a note names: a reader looks for its own among them.
+_NAMED = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,7 +228,7 @@ def _clocks(streams: Sequence[StreamTimes], least: Sequence[int], used: Sequence
 
 def _names(streams: Sequence[StreamTimes], members: Sequence[int]) -> str:
     names = [streams[index].name for index in members]
-    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+    return ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
 
 
 def _ms(value_ns: int, *, sign: bool = False) -> str:
