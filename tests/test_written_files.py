@@ -165,6 +165,7 @@ _ELSEWHERE = {
     "addons/resim/races.py": "in the temporary directory of its runs",
     "addons/exchange/csv_out.py": "in the folder of an export",
     "addons/exchange/scene_store.py": "in the folder of an export",
+    "addons/exchange/scene_in.py": "in a temporary directory",
     "addons/exchange/scene_reading.py": "in the folder of an export",
     "api/recording.py": "in a temporary directory",
     "cli/info_source.py": "in a temporary directory",
