@@ -124,11 +124,11 @@ def export_picture_sequence(recording: Recording, out: Path, globs: Sequence[str
         make_folder(beside)
         store = FolderStore(beside)
         reading = SceneReading(file, globs, rate, store, only_pictures=True)
-        reading.read()
+        try:
+            reading.read()
+        finally:
+            reading.close()
         tracks = [track for track in reading.tracks.values() if isinstance(track, PictureTrack)]
-        for track in tracks:
-            assert track.stream is not None
-            track.stream.close()
         if len(tracks) > 1:
             names = ", ".join(track.source for track in tracks)
             raise ConfigError(f"--streams: found {names}, expected one stream of pictures")

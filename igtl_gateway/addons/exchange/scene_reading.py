@@ -195,10 +195,16 @@ class SceneReading:
         del self.tracks[key]
 
     def close(self) -> None:
-        """Close what an error has left open."""
+        """Close what an error has left open: all of it, also on a full disk.  Raises OSError."""
+        failure: OSError | ValueError | None = None
         for track in self.tracks.values():
             if isinstance(track, PictureTrack | ItemTrack) and track.stream is not None:
-                track.stream.close()
+                try:
+                    track.stream.close()
+                except (OSError, ValueError) as error:
+                    failure = failure or error
+        if failure is not None:
+            raise failure
 
     def _several_of(self, entry: Entry) -> _Several:
         """Return how the messages of a stream are taken, by its first one."""
