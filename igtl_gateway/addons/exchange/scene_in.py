@@ -45,10 +45,9 @@ from igtl_gateway.addons.exchange.source import (
     ImportedItem,
     ImportedStream,
     NonRosSource,
+    file_begin_items,
+    file_end_item,
     library_errors_as_damage,
-    link_down_item,
-    link_up_item,
-    note_item,
     peer_item,
 )
 
@@ -525,17 +524,13 @@ class SceneSource(NonRosSource):
         return self.begin_ns + round(seconds * NS_PER_S)
 
     def items(self) -> Iterator[ImportedItem]:
-        peer = {"peer": f"file {self._path.name}", "local": "import", "role": "server"}
-        yield link_up_item(self.begin_ns, _LINK, peer)
-        yield note_item(
-            self.begin_ns, "imported", f"imported from {self._path.name}; no gateway received these messages"
-        )
+        yield from file_begin_items(self._path, self.begin_ns, _LINK)
         last_ns = self.begin_ns
         with library_errors_as_damage(self._path):
             for time_ns, item in heapq.merge(*self._streams, key=lambda one: one[0]):
                 last_ns = max(last_ns, time_ns)
                 yield item
-        yield link_down_item(last_ns, _LINK, peer, "the end of the scene")
+        yield file_end_item(self._path, last_ns, _LINK, "the end of the scene")
 
     def close(self) -> None:
         for each in self._opened:

@@ -41,9 +41,9 @@ from igtl_gateway.addons.exchange.source import (
     ImportedItem,
     ImportedStream,
     NonRosSource,
+    file_begin_items,
+    file_end_item,
     library_errors_as_damage,
-    link_down_item,
-    link_up_item,
     note_item,
     peer_item,
 )
@@ -158,13 +158,11 @@ class Sequence(NonRosSource):
             )
 
     def items(self) -> Iterator[ImportedItem]:
-        peer = {"peer": f"file {self._path.name}", "local": "import", "role": "server"}
         raster = self._raster
         images = pixels.read_frames(raster, self.notes) if raster.frame_bytes else iter(())
         count = raster.frames if raster.frame_bytes else 0
         start_ns = time_ns = self._time_ns(0, self.epoch_ns)
-        yield link_up_item(start_ns, _LINK, peer)
-        yield note_item(start_ns, "imported", f"imported from {self._path.name}; no gateway received these messages")
+        yield from file_begin_items(self._path, start_ns, _LINK)
         self._stampless = same = 0
         invalid: set[str] = set()
         for index in self._indices(count):
@@ -182,7 +180,7 @@ class Sequence(NonRosSource):
             self._image_row.taken += 1
             head, _ = encode(Message("IMAGE", IMAGE_DEVICE, self._image(data), ns_to_ticks(time_ns)))
             yield peer_item(time_ns, _LINK, _with_head(head, data))
-        yield link_down_item(time_ns, _LINK, peer, "the end of the file")
+        yield file_end_item(self._path, time_ns, _LINK)
         next(images, None)  # adds a note if there is data after the last frame
         if same and not self._stampless and (self._tracked or raster.times_s):
             self.notes.append(f"frames with the time of the frame before them: {same}")

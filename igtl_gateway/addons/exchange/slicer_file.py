@@ -33,10 +33,9 @@ from igtl_gateway.addons.exchange.source import (
     ImportedItem,
     ImportedStream,
     NonRosSource,
+    file_begin_items,
+    file_end_item,
     library_errors_as_damage,
-    link_down_item,
-    link_up_item,
-    note_item,
     peer_item,
 )
 
@@ -63,13 +62,11 @@ class SlicerFile(NonRosSource):
             self._contents = read(path, self)
 
     def items(self) -> Iterator[ImportedItem]:
-        peer = {"peer": f"file {self._path.name}", "local": "import", "role": "server"}
         at_ns = self._epoch_ns
-        yield link_up_item(at_ns, _LINK, peer)
-        yield note_item(at_ns, "imported", f"imported from {self._path.name}; no gateway received these messages")
+        yield from file_begin_items(self._path, at_ns, _LINK)
         for kind, device, content in self._contents:
             yield peer_item(at_ns, _LINK, join(encode(Message(kind, device, content, ns_to_ticks(at_ns)))))
-        yield link_down_item(at_ns, _LINK, peer, "the end of the file")
+        yield file_end_item(self._path, at_ns, _LINK)
 
     def close(self) -> None:
         """Do nothing: no file is open outside of the constructor."""

@@ -157,6 +157,21 @@ def link_down_item(time_ns: int, link: int, facts: dict[str, str], reason: str) 
     return ImportedItem(time_ns, Kind.LINK, note.pack(), links=(link,))
 
 
+def file_begin_items(path: Path, time_ns: int, link: int) -> tuple[ImportedItem, ImportedItem]:
+    """Return the items that a file of another program begins with: it is the peer, and no gateway received it."""
+    text = f"imported from {path.name}; no gateway received these messages"
+    return link_up_item(time_ns, link, _file_facts(path)), note_item(time_ns, "imported", text)
+
+
+def file_end_item(path: Path, time_ns: int, link: int, reason: str = "the end of the file") -> ImportedItem:
+    """Return the last item of a file that began with ``file_begin_items``."""
+    return link_down_item(time_ns, link, _file_facts(path), reason)
+
+
+def _file_facts(path: Path) -> dict[str, str]:
+    return {"peer": f"file {path.name}", "local": "import", "role": "server"}
+
+
 def note_item(
     time_ns: int, code: str, text: str, *, stream: str = "", data: dict[str, object] | None = None
 ) -> ImportedItem:
