@@ -193,6 +193,8 @@ NOTES: dict[str, dict[str, str]] = {
     },
     "The session": {
         "tick": "a deadline has come; without it, time would not pass in a replay",
+        "imported": "the messages come from a file of another program; no gateway received them",
+        "transform_status": "poses of a file have another status than OK and are not imported",
         "deidentified": "the session was de-identified; the data have the counts of the rules",
         "stamps_corrected": "`sync` wrote this copy with corrected stamps; the data have the lag of the stream",
         "setting": "a setting was changed while the bridge runs",

@@ -423,9 +423,10 @@ def scanned(path: Path) -> Iterator[Entry]:
 
 
 def workers(process: int) -> list[int]:
-    """The processes of its recorders."""
+    """The processes of its recorders, without other children that tests of this process have left."""
     tasks = Path(f"/proc/{process}/task").iterdir()
-    return [int(word) for task in tasks for word in (task / "children").read_text().split()]
+    children = [int(word) for task in tasks for word in (task / "children").read_text().split()]
+    return [child for child in children if host.__name__.encode() in Path(f"/proc/{child}/cmdline").read_bytes()]
 
 
 def closed(path: Path) -> SessionFile:
