@@ -23,8 +23,8 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 ROOT = Path(__file__).resolve().parent
-#: The parts: a library for each ``_NAME.c`` below the package, made with the headers beside it.  Without the folder
-#: of a part, nothing of it is left.
+#: The parts: a library for each ``_NAME.c`` below the package, made with the headers beside and below it.  Without the
+#: folder of a part, nothing of it is left.
 SOURCES = tuple(sorted(path.relative_to(ROOT) for path in (ROOT / "igtl_gateway").rglob("_*.c")))
 #: Results have to be those of Python's floats: no fused or reordered arithmetic.  No -march: the wheel is for every
 #: processor of its architecture, and the parts with AVX2 are chosen at run time.

@@ -248,7 +248,7 @@ CLOCK_CALLS = frozenset({"now", "today", "utcnow"})
 
 #: Tests of no single module, relative to the folder of tests; a folder stands for all that is in it.
 UNMIRRORED = (
-    "record/test_memory_order.py",  # shared_queue.py and _queue.h on ARM
+    "record/test_memory_order.py",  # shared_queue.py and kernel/_queue.h on ARM
     "convert/test_distributions.py",  # definitions of ROS 2 distributions
     "replay/test_versions.py",  # recordings of all versions
     "record/test_ring_model.py",  # shared_queue.py against a model
@@ -257,7 +257,8 @@ UNMIRRORED = (
     "test_mistyped_names.py",  # all verbs
     "integration",
     "peers",
-    "native/test_turns.py",  # turns of links in _passage.c
+    "native/test_rooms.py",  # the headers of native/kernel and native/passage
+    "native/test_turns.py",  # turns of links, native/passage/_turns.h
     "native/test_twins.py",  # rules that stand in Python and in C
     "addons/resim/test_abi.py",  # addons/resim/preload/_abi.h
     "addons/resim/test_programs.py",  # programs of every kind, 5 runs each

@@ -152,7 +152,7 @@ def test_the_folder_of_a_build_leaves_no_trace(tmp_path: Path) -> None:
     results = []
     for name in ("one", "a second folder"):
         root = tmp_path / name / "source"
-        for path in (source, source.with_name("_queue.h")):
+        for path in (source, source.parent / "kernel" / "_queue.h"):
             (root / path).parent.mkdir(parents=True, exist_ok=True)
             (root / path).write_bytes((ROOT / path).read_bytes())
         target = compiled(root, source, tmp_path / name / "out")

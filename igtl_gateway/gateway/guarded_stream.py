@@ -5,7 +5,7 @@ Each oddity is reported once per *episode*: at its begin, and at its end with a 
 The fast path (`igtl_gateway.gateway.fastpath`) must give the same result as the full path, and a verification uses the
 full path only.  So the checks depend on the stamps of the entries only: decreasing stamps are checked in every message,
 everything else in one message per ``LOOK_NS``.  ``judge`` and ``observe`` are the rule.  ``passes_quickly`` and, in C,
-``passes_guard`` of ``_passage.c`` only pass what it has nothing to report about ("Twins" in ARCHITECTURE.md).
+``passes_guard`` of ``passage/_guard.h`` only pass what it has nothing to report about ("Twins" in ARCHITECTURE.md).
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@
 #include <stdint.h>
 #include <string.h>
 
-#include "_queue.h"
+#include "kernel/_queue.h"
 
 #if __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
 #error "this part writes numbers as they are in memory"

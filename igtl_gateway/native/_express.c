@@ -2,7 +2,7 @@
  *
  * The functions for poses also exist in Python, with results that are equal bit for bit.  Those for bulk (strings,
  * points, clouds, images) exist only here.  For every message that is not as the sample they return None, and the full
- * path handles it.  The conversions themselves are in _poses.h and _bulk.h; this file has their interface to Python.
+ * path handles it.  The conversions themselves are in kernel/; this file has their interface to Python.
  */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
@@ -10,7 +10,8 @@
 #include <sys/mman.h>
 #endif
 
-#include "_bulk.h"
+#include "kernel/_bulk_to_igtl.h"
+#include "kernel/_bulk_to_ros.h"
 #include "_places.h"
 
 /* -- poses ------------------------------------------------------------------------------------------------------------- */

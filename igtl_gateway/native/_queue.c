@@ -2,7 +2,7 @@
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
-#include "_queue.h"
+#include "kernel/_queue.h"
 
 static PyObject *name_payload, *name_kind, *name_channel, *name_type, *name_links, *name_seq, *name_stamp, *name_source;
 

@@ -303,6 +303,6 @@ def test_the_sign_of_a_quaternion() -> None:
 def test_the_c_parts_refuse_machines_that_they_are_not_for(machine: str) -> None:
     """A length of 32 unsigned bits would be negative in a ssize_t of 32 bits, and pass the checks of bounds."""
     others = [f"-U{machine.partition('=')[0]}", f"-D{machine}"] if machine else []
-    command = ["gcc", "-E", "-x", "c", *others, str(PACKAGE / "native" / "_bytes.h")]
+    command = ["gcc", "-E", "-x", "c", *others, str(PACKAGE / "native" / "kernel" / "_bytes.h")]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (run.returncode != 0, "of 64 bits" in run.stderr) == (bool(machine), bool(machine))

@@ -12,7 +12,7 @@ import pytest
 
 from tests.places import ROOT
 
-HEADER = ROOT / "igtl_gateway" / "native" / "_queue.h"
+HEADER = ROOT / "igtl_gateway" / "native" / "kernel" / "_queue.h"
 
 _SHIM = """
 #include "_queue.h"

@@ -10,7 +10,7 @@ from igtl_gateway.wire import header, message
 from igtl_gateway.wire.header import Header
 from tests.places import PACKAGE
 
-_C_SOURCE = PACKAGE / "native" / "_bytes.h"
+_C_SOURCE = PACKAGE / "native" / "kernel" / "_bytes.h"
 #: What the recorder's process must not wait for.
 _HEAVY = ("numpy", "igtl_gateway.wire.message", "igtl_gateway.wire.registry")
 

@@ -44,7 +44,7 @@ def index_messages(chunk: bytearray) -> ChunkIndex:
     return first, last, bytes(index), tuple(rows)
 
 
-#: Adds rows (records of the recorder's queue, see ``record/_queue.h``) to a chunk.
+#: Adds rows (records of the recorder's queue, see ``native/kernel/_queue.h``) to a chunk.
 #:
 #: Arguments: the chunk; the room of the queue; begin of the rows in it, and the last place at which they can end;
 #: for each number of a stream a RowStream or None; the size above which the chunk takes no more.  Result: the end of

@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-import igtl_gateway.native
+import igtl_gateway.native.passage
 from igtl_gateway.wire.header import CRC, HEADER_SIZE, crc64
 from igtl_gateway_lab.bench.jobs import JobStream
 from igtl_gateway_lab.bench.payloads import ID_AT, Form, Payload
 from igtl_gateway_lab.bench.processes import BenchError
 
 SOURCE = Path(__file__).with_name("_probe.c")
-_RCL_HEADERS = Path(igtl_gateway.native.__file__).parent
+_RCL_HEADERS = Path(igtl_gateway.native.passage.__file__).parent
 _FLAGS = ("-O2", "-fPIC", "-shared", "-std=gnu11", "-Wall", "-Wextra")
 _COMPILE_S = 120.0
 _DEVICE_SIZE, _INITIAL_SIZE = 20, 16

@@ -214,7 +214,7 @@ def take(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Any]:
     source, target = folder / "taking.c", folder / "taking.so"
     source.write_text(_MODULE)
     compiler = shlex.split(sysconfig.get_config_var("CC") or "cc")[0]
-    includes = [f"-I{sysconfig.get_path('include')}", f"-I{ROOT / 'igtl_gateway' / 'native'}"]
+    includes = [f"-I{sysconfig.get_path('include')}", f"-I{ROOT / 'igtl_gateway' / 'native' / 'passage'}"]
     command = [compiler, "-shared", "-fPIC", "-Wall", "-Wextra", "-Werror", *includes, "-o", str(target), str(source)]
     try:
         subprocess.run(command, check=True, capture_output=True, text=True)

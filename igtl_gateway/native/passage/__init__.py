@@ -1,8 +1,8 @@
 """The native passage: compiled streams of poses pass from one side to the other without the GIL.
 
 A robot's pose needs 2 µs of arithmetic.  On its way through Python it waits for the GIL, for threads that are woken,
-and for code that is no longer in the caches: hundreds of microseconds at 30 Hz.  The passage (``_passage.c``) is the
-same way in C:
+and for code that is no longer in the caches: hundreds of microseconds at 30 Hz.  The passage (the headers of this
+folder, compiled by ``_passage.c``) is the same way in C:
 
 * to OpenIGTLink: in the thread of the middleware that received the message, from ``rcl_take_serialized_message`` to
   ``send``;
@@ -19,7 +19,8 @@ Python and the passage share one lock, the *sequence lock* (the context of a ``P
 entries, the streams and their counts.  Python sees the counts when it collects them
 (`igtl_gateway.gateway.fastpath.passage_streams`).
 
-The module is optional: without a C compiler, on another system than Linux, or without rcl, ``load`` returns None.
+The passage is optional: without a C compiler or on another system than Linux, ``is_compiled`` is false, and without rcl
+a bridge makes none (`igtl_gateway.app.passage`).
 """
 
 from __future__ import annotations
