@@ -18,14 +18,14 @@ run_tests = $(BIN)/python -m pytest $(PARALLEL) --durations=10 $(1) || { \
 
 MYPY := $(BIN)/mypy --no-error-summary
 # The checks that end in seconds.
-QUICK := format lint pins documents terms docstrings
+QUICK := format lint pins documents terms docstrings commits
 
-.PHONY: help demo test test-fast test-long check static quick format lint types types-elsewhere pins documents terms docstrings peers core coverage hooks pictures fixtures site release clean
+.PHONY: help demo test test-fast test-long check static quick format lint types types-elsewhere pins documents terms docstrings commits peers core coverage hooks pictures fixtures site release clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo        bridge, record, verify and replay on this machine, with real ROS 2"
-	@echo "make check       format, lint, types, pins, generated documents, terms, architecture"
+	@echo "make check       format, lint, types, pins, documents, terms, names, commits, architecture"
 	@echo "make test-fast   the fast tests: at most three minutes on two cores"
 	@echo "make test        the gate for every change: the checks, the fast tests and the slow tests"
 	@echo "make test-long   the tests that take too long for the gate"
@@ -92,6 +92,9 @@ terms: $(READY)
 
 docstrings: $(READY)
 	@$(BIN)/python tools/docstrings.py
+
+commits: $(READY)
+	@$(BIN)/python tools/commit_message.py --history
 
 coverage: $(READY) peers
 	@$(BIN)/python -m pytest $(PARALLEL) -m "not slow" --cov --cov-report=
