@@ -34,7 +34,7 @@ class Guard:
     """All guarded streams of a session.
 
     Attributes:
-        ahead_ns: how far gateway time is ahead of the host's clock; see ``session.clocksteps``.
+        ahead_ns: how far gateway time is ahead of the host's clock; see ``gateway/log/clocksteps.py``.
         verdicts: the results of the commands to robots in the input, if it is one of a prologue.
     """
 

@@ -47,7 +47,7 @@ class _Node(RosEdge):
 
 
 class RosTransport:
-    """See ``programs.Side``."""
+    """See ``programs.BenchSide``."""
 
     def __init__(self, job: Job, heard: dict[str, Arrivals]) -> None:
         self._job = job
