@@ -286,7 +286,7 @@ UNMIRRORED = (
     "api/test_documents.py",  # docs/how-to/python-*.md
     "test_examples.py",  # examples/
     "test_private_files.py",  # who creates files
-    "test_written_files.py",  # every verb's, sessionfile/beside.py
+    "test_written_files.py",  # every verb's, sessionfile/whole_files.py
     "test_package.py",  # igtl_gateway/__init__.py
     "test_packaging.py",  # pyproject.toml, lab/pyproject.toml
     "test_fixtures.py",  # what the recordings in fixtures/ promise

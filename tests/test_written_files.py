@@ -121,11 +121,11 @@ def test_a_program_that_is_ended(tmp_path: Path, number: signal.Signals) -> None
     out.write_bytes(_OLD)
     code = (
         "import sys, time\n"
-        "from igtl_gateway.record.sessionfile import beside\n"
+        "from igtl_gateway.record.sessionfile import whole_files\n"
         "def wait(*_, **__):\n"
         "    print('now', flush=True)\n"
         "    time.sleep(60)\n"
-        "beside._move = wait\n"
+        "whole_files._move = wait\n"
         "from igtl_gateway.cli import main\n"
         "sys.exit(main())\n"
     )
@@ -148,10 +148,10 @@ def test_a_program_that_is_ended(tmp_path: Path, number: signal.Signals) -> None
 
 #: Functions that open or make a file at the given path.
 _OPENING = frozenset({"open_new", "open_text", "write_text", "write_bytes", "empty_file", "create_file", "make_folder"})
-#: Module → why what it opens is complete or absent all the same.  Every other module goes through ``beside``.
+#: Module → why what it opens is complete or absent all the same.  Every other module goes through ``whole_files``.
 _ELSEWHERE = {
     "record/sessionfile/new_file.py": "the functions themselves",
-    "record/sessionfile/beside.py": "the hidden folder",
+    "record/sessionfile/whole_files.py": "the hidden folder",
     "record/sessionfile/writer.py": "in a place of its caller; a recording of the bridge grows where it is",
     "record/sessionfile/copying.py": "in a place of its caller",
     "record/sessionfile/seal_copy.py": "in a place of its caller",
@@ -199,5 +199,5 @@ def test_every_other_module_writes_beside() -> None:
             opening.add(name)
             if name not in _ELSEWHERE:
                 beside = _calls(tree, frozenset({"written", "written_folder"}))
-                assert beside, f"{name}: found a file that is opened at its place, expected sessionfile/beside.py"
+                assert beside, f"{name}: found a file that is opened at its place, expected sessionfile/whole_files.py"
     assert _ELSEWHERE.keys() <= opening, "rows without a call"

@@ -237,12 +237,6 @@ if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile import layout as layout
     from igtl_gateway.record.sessionfile.added_marks import added_marks as added_marks
     from igtl_gateway.record.sessionfile.added_marks import marks_files as marks_files
-    from igtl_gateway.record.sessionfile.beside import check_folder as check_folder
-    from igtl_gateway.record.sessionfile.beside import check_target as check_target
-    from igtl_gateway.record.sessionfile.beside import is_unfinished as is_unfinished
-    from igtl_gateway.record.sessionfile.beside import write_error as write_error
-    from igtl_gateway.record.sessionfile.beside import written as written
-    from igtl_gateway.record.sessionfile.beside import written_folder as written_folder
     from igtl_gateway.record.sessionfile.bulk import MessageBlock as MessageBlock
     from igtl_gateway.record.sessionfile.bulk import block_of as block_of
     from igtl_gateway.record.sessionfile.definition import Definition as Definition
@@ -259,6 +253,12 @@ if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile.ranges import RangeFile as RangeFile
     from igtl_gateway.record.sessionfile.ranges import named as named
     from igtl_gateway.record.sessionfile.reader import SessionFile as SessionFile
+    from igtl_gateway.record.sessionfile.whole_files import check_folder as check_folder
+    from igtl_gateway.record.sessionfile.whole_files import check_target as check_target
+    from igtl_gateway.record.sessionfile.whole_files import is_unfinished as is_unfinished
+    from igtl_gateway.record.sessionfile.whole_files import write_error as write_error
+    from igtl_gateway.record.sessionfile.whole_files import written as written
+    from igtl_gateway.record.sessionfile.whole_files import written_folder as written_folder
     from igtl_gateway.record.sessionfile.writer import SessionWriter as SessionWriter
     from igtl_gateway.replay.recorded_config import config_to_run as config_to_run
     from igtl_gateway.replay.recorded_config import recorded_acceptance as recorded_acceptance
@@ -345,7 +345,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("edges.video.still", "decoded_still"),
     ("edges.video.worker", "MAX_PIXELS VIDEO_THREADS import_av"),
     # New files: written beside their place, moved there when they are whole
-    ("record.sessionfile.beside", "check_folder check_target is_unfinished write_error written written_folder"),
+    ("record.sessionfile.whole_files", "check_folder check_target is_unfinished write_error written written_folder"),
     (
         "record.sessionfile.new_file",
         "create_file empty_file make_folder open_new open_text os_error_text write_bytes write_text",

@@ -407,7 +407,7 @@ class Bridge:
 
     def _pass_on(self, entry: Entry) -> None:
         if entry.kind is Kind.IGTL_OUT:
-            self.tcp.send(entry.links, entry.payload, entry.channel, self.gateway.keep(entry))
+            self.tcp.send(entry.links, entry.payload, entry.channel, self.gateway.must_keep(entry))
         elif entry.kind is Kind.ROS_OUT and self._traffic:
             self._traffic.publish(entry)
         elif entry.kind is Kind.NOTE and self.gateway.config.faults:

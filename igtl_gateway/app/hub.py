@@ -176,11 +176,11 @@ class Hub:
         with self.sequence:
             self._owner = me
             try:
-                rests = self._process(kind, payload, channel, type_name, links, source_ns, prepared)
+                deferred = self._process(kind, payload, channel, type_name, links, source_ns, prepared)
                 self._process_waiting()
             finally:
                 self._owner = 0
-        self._finish(rests)
+        self._finish(deferred)
         return isinstance(prepared, Results) and isinstance(prepared.decoded, WireError)
 
     def _process_waiting(self) -> None:
@@ -213,20 +213,20 @@ class Hub:
             source_ns=source_ns,
             prepared=prepared,
         )
-        rests: list[tuple[Sink, DeferredSend]] = []
+        deferred: list[tuple[Sink, DeferredSend]] = []
         for sink in self._sinks:  # all entries to one sink, then the next: sending does not wait for recording
             for entry in entries:
                 try:
-                    if rest := sink(entry):
-                        rests.append((sink, rest))
+                    if send := sink(entry):
+                        deferred.append((sink, send))
                 except Exception as error:  # a defect of a sink must not stop the other sinks or the session
                     self._note_sink_failure(sink, error)
-        return rests
+        return deferred
 
-    def _finish(self, rests: list[tuple[Sink, DeferredSend]]) -> None:
-        for sink, rest in rests:
+    def _finish(self, deferred: list[tuple[Sink, DeferredSend]]) -> None:
+        for sink, send in deferred:
             try:
-                rest()
+                send()
             except Exception as error:
                 self._note_sink_failure(sink, error)
 

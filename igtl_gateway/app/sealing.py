@@ -15,12 +15,12 @@ from igtl_gateway.base.untrusted.files import is_same
 from igtl_gateway.record.seal.keys import SigningKey, load_trusted
 from igtl_gateway.record.seal.time_stamps import load_authorities
 from igtl_gateway.record.sessionfile.added_marks import marks_files
-from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, UNTRUSTED, SealReport, check_seal
 from igtl_gateway.record.sessionfile.seal_copy import seal_copy
 from igtl_gateway.record.sessionfile.sealing import SealSeries
 from igtl_gateway.record.sessionfile.side_file import SIDE_FILE
 from igtl_gateway.record.sessionfile.stamped import stamped_copy
+from igtl_gateway.record.sessionfile.whole_files import written
 
 #: State of a recording that is sealed, but without an accepted time stamp, although one is asked for.
 UNTIMED = "untimed"

@@ -16,8 +16,8 @@ from igtl_gateway.base.untrusted import cpu_time
 from igtl_gateway.base.untrusted.files import is_same
 from igtl_gateway.cli.options import add_output, add_overwrite, default
 from igtl_gateway.cli.terminal import print_json, print_line
-from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.new_file import open_new
+from igtl_gateway.record.sessionfile.whole_files import written
 from igtl_gateway.wire import decode, describe, encode
 from igtl_gateway.wire.framer import DEFAULT_MAX_BODY, Framer
 from igtl_gateway.wire.header import HEADER_VERSIONS

@@ -25,12 +25,12 @@ from igtl_gateway.cli.options import add_file, add_json, add_output, add_overwri
 from igtl_gateway.cli.terminal import clear_live_line, is_terminal, live_line, print_json, print_line
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.added_marks import added_marks
-from igtl_gateway.record.sessionfile.beside import written, written_folder
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.recovery import Recovery, recover
 from igtl_gateway.record.sessionfile.salvage import HAS_SESSION, Salvage
 from igtl_gateway.record.sessionfile.salvage_report import Loss, SalvageReport
 from igtl_gateway.record.sessionfile.side_file import SIDE_FILE, part_files, write_side_file
+from igtl_gateway.record.sessionfile.whole_files import written, written_folder
 from igtl_gateway.replay.recorded_marks import carry_marks
 
 EXAMPLES = """\

@@ -10,8 +10,8 @@ from pathlib import Path
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli.terminal import print_line
 from igtl_gateway.record.seal.keys import SigningKey, key_id, load_trusted, trusted_with
-from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.new_file import open_new
+from igtl_gateway.record.sessionfile.whole_files import written
 
 EXAMPLES = """\
   # write the private key recorder.key (mode 0600) and recorder.key.pub

@@ -26,8 +26,8 @@ from igtl_gateway.cli.options import (
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.gateway.log.marks import Mark
 from igtl_gateway.record.sessionfile import layout
-from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.whole_files import written
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.replay.moment import check_part
 from igtl_gateway.replay.recorded_config import absent_sources, config_to_run

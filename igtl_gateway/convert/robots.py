@@ -86,8 +86,8 @@ def joints_to_array(message: JointState, _: ToIgtlContext) -> ConvertedMessage:
         if len(vector):
             rows[2 * index], rows[2 * index + 1] = 1.0, vector
     names = message.name
-    told = len(names) == count and all(name and "," not in name for name in names)
-    metadata = (MetadataItem(JOINT_NAMES, 0, ",".join(names)),) if told else ()
+    are_listed = len(names) == count and all(name and "," not in name for name in names)
+    metadata = (MetadataItem(JOINT_NAMES, 0, ",".join(names)),) if are_listed else ()
     content = NdArray(_FLOAT64, (JOINT_ROWS, count), rows.reshape(-1).view(np.uint8).data)
     return ConvertedMessage(content, message.header.stamp_ns, message.header.frame_id, metadata=metadata)
 

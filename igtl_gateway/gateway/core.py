@@ -273,7 +273,7 @@ class Gateway:
         age_s = self._streams.max_age_s(entry.channel)
         return entry.source_ns + round(age_s * NS_PER_S) if age_s and entry.source_ns else 0
 
-    def keep(self, entry: Entry) -> bool:
+    def must_keep(self, entry: Entry) -> bool:
         """Return whether a full send queue must not drop this OpenIGTLink message."""
         return is_kept(entry.type)
 

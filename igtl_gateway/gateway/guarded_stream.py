@@ -78,7 +78,7 @@ class GuardedStream:
         "_seen_ns",
         "_stale_since_ns",
         "_still",
-        "_unknown_said",
+        "_unknown_reported",
         "_watch",
         "ahead_ns",
         "arrived_ns",
@@ -104,7 +104,7 @@ class GuardedStream:
         self._still = 0  # number of checks since the stamp changed
         self._place: Place | None = None
         self._stale_since_ns = 0
-        self._unknown_said = False
+        self._unknown_reported = False
 
     @property
     def age_ns(self) -> int | None:
@@ -119,7 +119,7 @@ class GuardedStream:
         return (
             self._watch,
             bool(self.stale),
-            self._unknown_said,
+            self._unknown_reported,
             self.max_age_ns,
             self.ahead_ns,
             self.last_ns,
@@ -154,7 +154,7 @@ class GuardedStream:
         """Return whether to withhold a message with the stamp ``own_ns`` (0: none) at ``now_ns``, and the remarks."""
         code = self._age_code(now_ns, own_ns)
         if code == AGE_UNKNOWN:
-            self._unknown_said = True
+            self._unknown_reported = True
             text = f"{self.stream}: messages without stamps, age unknown (max_age_s)"
             return False, [(Level.WARN, AGE_UNKNOWN, text)]
         if code == STALE:
@@ -171,7 +171,7 @@ class GuardedStream:
         """Return what the age of a message changes or withholds: the code of a remark, or ""."""
         if self.max_age_ns:
             if own_ns <= 0:
-                return "" if self._unknown_said else AGE_UNKNOWN
+                return "" if self._unknown_reported else AGE_UNKNOWN
             if now_ns - self.ahead_ns - own_ns > self.max_age_ns:
                 return STALE
         return FRESH if self.stale else ""  # also if the maximum age was changed to none

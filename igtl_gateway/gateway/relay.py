@@ -126,7 +126,7 @@ class RelayGateway:
         """Return 0: a relay publishes no topic."""
         return 0
 
-    def keep(self, entry: Entry) -> bool:
+    def must_keep(self, entry: Entry) -> bool:
         """Return True: a relay drops no message."""
         return True
 

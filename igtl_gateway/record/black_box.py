@@ -146,7 +146,7 @@ class BlackBox(Ring):
         self._last_seq = 0
         self._gaps: list[tuple[int, int, int]] = []  # between two entries, UTC ns, and how many are missing
         self._opened_ns: deque[int] = deque(maxlen=MAX_PER_MINUTE)  # stamps of triggers that opened windows
-        self._untold: dict[Trigger, tuple[int, int]] = {}  # → when the last note was, and triggers since then
+        self._unnoted: dict[Trigger, tuple[int, int]] = {}  # → when the last note was, and triggers since then
 
     @property
     def present(self) -> Path | None:
@@ -260,13 +260,13 @@ class BlackBox(Ring):
 
     def _report(self, cause: Cause) -> None:
         """Write a note of the trigger: at most one a second of each rule, with the count of those before it."""
-        noted_ns, untold = self._untold.get(cause.rule, (0, 0))
+        noted_ns, unnoted = self._unnoted.get(cause.rule, (0, 0))
         if noted_ns and cause.noted_ns - noted_ns < _TOGETHER_NS:
-            self._untold[cause.rule] = noted_ns, untold + 1
+            self._unnoted[cause.rule] = noted_ns, unnoted + 1
             return
-        self._untold[cause.rule] = cause.noted_ns, 0
-        more = f"; {untold:,} more before it" if untold else ""
-        data = {"rule": str(cause.rule), "at_ns": cause.at_ns, "before": untold}
+        self._unnoted[cause.rule] = cause.noted_ns, 0
+        more = f"; {unnoted:,} more before it" if unnoted else ""
+        data = {"rule": str(cause.rule), "at_ns": cause.at_ns, "before": unnoted}
         self._on_note(Note(Level.INFO, TRIGGERED, f"black box, {cause.rule}: {cause.why}{more}", data=data))
 
     def _first_seq(self, begin_ns: int) -> int:

@@ -24,7 +24,6 @@ from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.retention.retention_log import RetentionLog
 from igtl_gateway.record.sessionfile import layout
-from igtl_gateway.record.sessionfile.beside import check_target
 from igtl_gateway.record.sessionfile.new_file import cannot_begin, make_folder
 from igtl_gateway.record.sessionfile.side_file import (
     SIDE_FILE,
@@ -34,6 +33,7 @@ from igtl_gateway.record.sessionfile.side_file import (
     parts_folder,
     write_side_file,
 )
+from igtl_gateway.record.sessionfile.whole_files import check_target
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 
 #: Parts that begin in a minute, at most: what would begin one more goes on in the part that is there.

@@ -275,7 +275,7 @@ class _RecorderWorker:
         self._drops_reported_ns: int | None = None
         self._noted = Once()  # types without a definition
         self._reported_refused: set[str] = set()
-        self._told_state = WorkerState()
+        self._sent_state = WorkerState()
         self._begun: list[str] = []  # files that the other end does not know yet
         self._files: set[Path] = set()  # all that were begun
         self._runs = False  # the first message states whether the first file could be created
@@ -487,7 +487,7 @@ class _RecorderWorker:
             self._gone = True
 
     def _ask(self, *words: Any) -> Any:
-        """Ask something and wait for the answer.  Raises _Gone."""
+        """Ask something and wait for the answer.  Raises _BridgeGone."""
         self._send(*words)
         try:
             while not self._gone:
@@ -505,8 +505,8 @@ class _RecorderWorker:
 
     def _send_state(self) -> None:
         state = self._state()
-        if state != self._told_state:
-            self._told_state = state
+        if state != self._sent_state:
+            self._sent_state = state
             self._send("state", state)
 
     def _state(self) -> WorkerState:
@@ -881,14 +881,14 @@ class _RecorderWorker:
             return
         before = Counter(self._not_queued)
         self._ask_drops()
-        untold = self._not_queued - before
+        unnoted = self._not_queued - before
         self._drops_reported_ns = now_ns
         done_bytes = self._queue.done_bytes
         cause, figures = self._pace.describe(now_ns, done_bytes)
         self._pace.begin(now_ns, done_bytes)
-        text = f"{cause}: {untold.total():,} entries of {len(untold)} streams are not in the recording"
+        text = f"{cause}: {unnoted.total():,} entries of {len(unnoted)} streams are not in the recording"
         text += f" ({figures})" if figures else ""
-        self._note(Note(Level.WARN, DROPPED, text, data={"dropped": dict(sorted(untold.items()))}))
+        self._note(Note(Level.WARN, DROPPED, text, data={"dropped": dict(sorted(unnoted.items()))}))
 
     def _apply_retention(self) -> None:
         """Have the retention make a pass now, in its thread."""

@@ -26,8 +26,8 @@ from igtl_gateway.gateway import LINK_DOWN, LINK_UP, TICK, Session, make_core
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.groups import input_groups
 from igtl_gateway.gateway.log.note import Level, Note
-from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.whole_files import written
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.replay.source import is_stream_of, select_entries
 from igtl_gateway.wire import Message, decode, encode

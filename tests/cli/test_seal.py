@@ -135,10 +135,10 @@ from pathlib import Path
 from igtl_gateway.cli import seal_keys
 from igtl_gateway.base.systems import files
 from igtl_gateway.record.seal import keys
-from igtl_gateway.record.sessionfile import beside, new_file
+from igtl_gateway.record.sessionfile import whole_files, new_file
 
 keys.SigningKey.generate().private_pem()  # loads the library
-traced = {module.__file__ for module in (seal_keys, files, beside, new_file)}
+traced = {module.__file__ for module in (seal_keys, files, whole_files, new_file)}
 folder, options = Path(sys.argv[1]), argparse.Namespace(action=sys.argv[3], files=[Path(word) for word in sys.argv[4:]])
 for number in itertools.count(1, int(sys.argv[2])):
     (folder / str(number)).mkdir()

@@ -572,7 +572,7 @@ def test_the_qos_of_a_topic_is_known_when_its_stream_opens() -> None:
 )
 def test_what_a_full_send_queue_must_not_drop(igtl_type: str, kept: bool) -> None:
     script = Script()
-    assert script.gateway.keep(Entry(1, T0_NS, Kind.IGTL_OUT, f"{igtl_type}/A", igtl_type, (b"",))) is kept
+    assert script.gateway.must_keep(Entry(1, T0_NS, Kind.IGTL_OUT, f"{igtl_type}/A", igtl_type, (b"",))) is kept
 
 
 def test_an_edge_note_is_counted_for_its_edge() -> None:

@@ -76,7 +76,7 @@ def test_a_message_goes_to_the_partner_and_to_nobody_else() -> None:
         (sent,) = relay.igtl(HELLO, link)
         assert (sent.kind, sent.links, sent.data()) == (Kind.IGTL_OUT, (partner,), HELLO)
         assert (sent.channel, sent.type, sent.source_ns) == ("STRING/Greeting", "STRING", 7_000_000_000)
-        assert relay.gateway.keep(sent)
+        assert relay.gateway.must_keep(sent)
     assert relay.gateway.ledger.to_dict() == {
         "igtl_in": {"STRING/Greeting": {"received": 4, "relayed": 4}},
         "igtl_out": {"STRING/Greeting": {"sent": 4}},

@@ -65,8 +65,8 @@ def export_rosbag2(recording: Recording, out: Path, globs: Sequence[str]) -> Exp
                 topic.count += 1
                 first, last = first or entry.stamp_ns, entry.stamp_ns
             # Jazzy and later read the version of the metadata of channels from here
-            told = _metadata(name, first, last, list(topics.values()), _custom(recording))
-            inner = textwrap.dedent(told.split("\n", 1)[1])
+            described = _metadata(name, first, last, list(topics.values()), _custom(recording))
+            inner = textwrap.dedent(described.split("\n", 1)[1])
             writer.add_metadata(layout.ROSBAG2_METADATA, {"serialized_metadata": inner, "ROS_DISTRO": "jazzy"})
             # at least one metadata record and one attachment, which checkers of MCAP files expect
             writer.add_metadata("igtl_gateway.export", {"igtl_gateway_version": __version__})
@@ -79,7 +79,7 @@ def export_rosbag2(recording: Recording, out: Path, globs: Sequence[str]) -> Exp
                     writer.add_attachment(each.create_time, each.log_time, each.name, each.media_type, each.data)
             writer.finish()  # type: ignore[no-untyped-call]
         with folder.create("metadata.yaml") as stream:
-            stream.write(told.encode())
+            stream.write(described.encode())
     account.files = 2
     return account
 

@@ -250,8 +250,8 @@ def _ahead(rows: Sequence[Mapping[str, Any]]) -> Trouble | None:
 
 def _odd(rows: Sequence[Mapping[str, Any]]) -> Trouble | None:
     codes, ms = sorted({code for row in rows for code in row["episodes"]}), ahead_ms(rows)
-    said = _ODD | ({"stamp_future": f"the sender's clock is ahead by {ms / 1e3:.1f} s"} if ms else {})
-    return Trouble(WARNING, "; ".join(said.get(code, code) for code in codes), codes[0]) if codes else None
+    texts = _ODD | ({"stamp_future": f"the sender's clock is ahead by {ms / 1e3:.1f} s"} if ms else {})
+    return Trouble(WARNING, "; ".join(texts.get(code, code) for code in codes), codes[0]) if codes else None
 
 
 def _reading(peer: Mapping[str, Any], losses: Losses, now_ns: int) -> Trouble | None:

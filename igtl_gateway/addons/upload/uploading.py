@@ -90,7 +90,7 @@ class Uploader:
         self._stored = UploadStates(folder)
         self._states: dict[str, UploadState] = {}  # those with our lock
         self._store = S3Store(place, RateLimit(rate, clock), clock, self._on_sent)
-        self._told: dict[str, str] = {}  # file → text of its last note
+        self._noted: dict[str, str] = {}  # file → text of its last note
         self._wait_s = 0.0
         self._next_ns = 0  # on the monotonic clock
 
@@ -187,9 +187,9 @@ class Uploader:
             self._tell("", Level.WARN, WAITS, f"upload waits: {why}; the files stay here")
             return False
         self._wait_s, self.counts.problem = 0.0, ""
-        if self._told.pop("", ""):
+        if self._noted.pop("", ""):
             self._on_note(Note(Level.INFO, REACHED, "upload: the store answers again"))
-        self._told.pop(name, None)
+        self._noted.pop(name, None)
         self.counts.confirmed += 1
         self.counts.last_confirmed_ns = self._clock.utc_ns()
         data = {"file": name, "bytes": recording.size, "sha256": state.files[name].sha256}
@@ -332,8 +332,8 @@ class Uploader:
 
     def _tell(self, about: str, level: Level, code: str, text: str) -> None:
         """Report a state when it begins or changes."""
-        if self._told.get(about) != text:
-            self._told[about] = text
+        if self._noted.get(about) != text:
+            self._noted[about] = text
             self._on_note(Note(level, code, text))
 
 

@@ -117,11 +117,11 @@ def compile_to_igtl(
         names = () if form in (TEXT, MESH) else _cloud_places(cdr)
     if names is None:
         return None
-    told = [replace(peer) for peer in peers]  # this sends nothing
+    copies = [replace(peer) for peer in peers]  # this sends nothing
     sign = 1 if out.ros_stamp_ns else -1  # the digits are those of the ROS stamp, or of the message's
     which = "ros_stamp_ns" if out.ros_stamp_ns else "stamp_ns"
     stamps: list[dict[str, Any]] = [{which: stamp_ns} for stamp_ns in _TWO_STAMPS]
-    first, second = (send(entry, replace(out, **stamp), told) for stamp in stamps)
+    first, second = (send(entry, replace(out, **stamp), copies) for stamp in stamps)
     if first.findings or not first.outputs:
         return None
     outputs: list[tuple[Output, tuple[Any, ...]]] = []

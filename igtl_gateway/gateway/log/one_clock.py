@@ -129,10 +129,12 @@ def one_clock(streams: Sequence[StreamTimes], wanted: str = AUTO) -> OneClock:
         return OneClock(GATEWAY, nothing, tuple(notes), is_sure=not notes)
     wandering = [name for each in streams if (name := _wandering(each))]
     if wandering:
-        said = f"the ages of {'; '.join(wandering)}: the clock was set, or the stamps do not run with it"
+        reason = f"the ages of {'; '.join(wandering)}: the clock was set, or the stamps do not run with it"
         if wanted == SOURCE:
-            return OneClock(SOURCE, nothing, (f"clock: source: {said}",), is_sure=False)
-        return OneClock(GATEWAY, nothing, (f"clock: gateway: {said}; all streams have their times of receipt",), False)
+            return OneClock(SOURCE, nothing, (f"clock: source: {reason}",), is_sure=False)
+        return OneClock(
+            GATEWAY, nothing, (f"clock: gateway: {reason}; all streams have their times of receipt",), False
+        )
     least = [int(each.ages().min()) if len(each.times) and len(each.ages()) else 0 for each in streams]
     return _joined(streams, least)
 

@@ -187,7 +187,7 @@ class Retention:
         self._log = RetentionLog(folder)
         self._offset_ns: int | None = None  # of UTC to the monotonic clock
         self._rest_until_ns = 0  # on the monotonic clock
-        self._told_rule = False
+        self._noted_rule = False
 
     def preview(self) -> RetentionReport:
         """Return what a pass would delete; nothing changes."""
@@ -238,9 +238,9 @@ class Retention:
     def _begin_log(self, now_ns: int) -> str:
         """State the rule once; return what prevents it."""
         try:
-            if not self._told_rule:
+            if not self._noted_rule:
                 self._log.add(now_ns, "rule", rule=self._rule.text)
-                self._told_rule = True
+                self._noted_rule = True
             self._log.check()
         except OSError as error:
             return f"{self._log.path}: {error.strerror}; without its log nothing is deleted"

@@ -19,8 +19,8 @@ from igtl_gateway.base.untrusted import files
 from igtl_gateway.base.untrusted.shape import fields, number, text, unexpected
 from igtl_gateway.base.untrusted.text import parse_json
 from igtl_gateway.gateway.log.marks import Mark, MarkNote
-from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.new_file import write_text
+from igtl_gateway.record.sessionfile.whole_files import written
 
 SUFFIX = ".marks.jsonl"
 #: In the folder of a split recording.

@@ -137,25 +137,25 @@ class RosTypes:
         return next((path for share in self._shares if (path := share / name).is_file()), None)
 
     def _hash_of(self, ros_type: str, text: str) -> str:
-        if told := self._told_hash(ros_type):
-            return told
+        if stated := self._stated_hash(ros_type):
+            return stated
         try:
             known: dict[str, Any] = {**self._types, **definitions.parse_definition(text, ros_type)}
             return definitions.type_hash(known, ros_type)
         except (TypesysError, RecordingError, KeyError):
             return ""  # it cannot be read here
 
-    def _told_hash(self, ros_type: str) -> str:
+    def _stated_hash(self, ros_type: str) -> str:
         """The hash in the ``.json`` file beside the definition."""
         if ros_type in OWN_TYPES:
             return ""
         place = next((each for kind in ("msg", "idl") if (each := self._place(f"{ros_type}.{kind}"))), None)
         try:
             rows = json.loads(files.read_bytes(place.with_suffix(".json")))["type_hashes"] if place else []
-            told = {row["type_name"]: row["hash_string"] for row in rows}.get(ros_type, "")
+            stated = {row["type_name"]: row["hash_string"] for row in rows}.get(ros_type, "")
         except (OSError, RecordingError, ValueError, KeyError, TypeError, AttributeError):
             return ""
-        return told if isinstance(told, str) and _HASH.fullmatch(told) else ""
+        return stated if isinstance(stated, str) and _HASH.fullmatch(stated) else ""
 
 
 def _joined(texts: dict[str, bytes], encoding: str) -> bytes:

@@ -25,7 +25,6 @@ from igtl_gateway.base.systems.files import sync_folder
 from igtl_gateway.base.version import __version__
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile import layout
-from igtl_gateway.record.sessionfile.beside import replaced
 from igtl_gateway.record.sessionfile.chunk_rows import RowStream
 from igtl_gateway.record.sessionfile.compression import Compression
 from igtl_gateway.record.sessionfile.definition import Definition
@@ -36,6 +35,7 @@ from igtl_gateway.record.sessionfile.schemas import RosTypes
 from igtl_gateway.record.sessionfile.sealing import Sealer
 from igtl_gateway.record.sessionfile.side_file import TopicCount, topic_counts
 from igtl_gateway.record.sessionfile.stream import McapStream
+from igtl_gateway.record.sessionfile.whole_files import replaced
 
 #: When written data are forced to the disk, so that a power failure does not lose them.
 Fsync = Literal["never", "flush", "close"]

@@ -103,15 +103,15 @@ def with_derived_figures(row: Row) -> Row:
     """A row, and what bounds need to know besides."""
     p50, p99, floor, rate = (row.get(name) for name in ("p50_ms", "p99_ms", "floor_p50_ms", "received_per_s"))
     dds, floor_p99 = row.get("floor_dds_per_s"), row.get("floor_p99_ms")
-    told = row | {
+    values = row | {
         "p99/p50": p99 / p50 if p50 and p99 else None,
         "ms over floor": p50 - floor if p50 and floor else None,
         "rate/DDS": rate / dds if rate and dds else None,
         "p99_ms where that of the floor is below 2": p99 if floor_p99 is not None and floor_p99 < _CALM_MS else None,
     }
     if "sent_after_resume" in row:
-        return told | {"lost after resume": row["sent_after_resume"] - row["delivered_after_resume"]}
-    return told | {"lost": row["sent"] - row["delivered"]} if "direction" in row else told
+        return values | {"lost after resume": row["sent_after_resume"] - row["delivered_after_resume"]}
+    return values | {"lost": row["sent"] - row["delivered"]} if "direction" in row else values
 
 
 def shown(row: Row) -> str:

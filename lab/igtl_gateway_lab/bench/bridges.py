@@ -84,14 +84,14 @@ def gateway(
         bridge = Bridge(program)
         yield bridge
         program.interrupt_and_wait()
-        told = program.wait_for("stopped", START_S, bridge.stall.note)
-        topics = told["ledger"]["ros_topics"].values()
+        event = program.wait_for("stopped", START_S, bridge.stall.note)
+        topics = event["ledger"]["ros_topics"].values()
         bridge.recorded["ros_lost"] = sum(counts["lost"] for counts in topics)
-        if times := told.get("native_times"):
+        if times := event.get("native_times"):
             bridge.recorded["native_times"] = times
         if recording:
-            bridge.recorded["recorder_dropped"] = told["recording"]["dropped"]
-            bridge.recorded["recorded_mb"] = round(told["recording"]["bytes"] / 1e6, 1)
+            bridge.recorded["recorder_dropped"] = event["recording"]["dropped"]
+            bridge.recorded["recorded_mb"] = round(event["recording"]["bytes"] / 1e6, 1)
 
 
 @contextmanager

@@ -65,12 +65,12 @@ def latency(passages: Sequence[Transmission]) -> dict[str, Any]:
     measured = [passage.measured() for passage in passages]
     waited = np.sort(np.concatenate([one for one, _ in measured]) if measured else np.empty(0, np.int64))
     arrived = np.concatenate([one for _, one in measured]) if measured else np.empty(0, np.int64)
-    told: dict[str, Any] = {"sent": sent, "delivered": len(waited)}
+    figures: dict[str, Any] = {"sent": sent, "delivered": len(waited)}
     span_ns = int(arrived.max() - arrived.min()) if len(arrived) > 1 else 0
-    told["received_per_s"] = round((len(arrived) - 1) * NS_PER_S / span_ns, 2) if span_ns else None
+    figures["received_per_s"] = round((len(arrived) - 1) * NS_PER_S / span_ns, 2) if span_ns else None
     if not len(waited):
-        return told | dict.fromkeys(("p50_ms", "p99_ms", "p999_ms", "mean_ms", "sd_ms", "max_ms"))
-    return told | {
+        return figures | dict.fromkeys(("p50_ms", "p99_ms", "p999_ms", "mean_ms", "sd_ms", "max_ms"))
+    return figures | {
         "p50_ms": _ms(quantile(waited, 0.50)),
         "p99_ms": _ms(quantile(waited, 0.99)),
         "p999_ms": _ms(quantile(waited, 0.999)),

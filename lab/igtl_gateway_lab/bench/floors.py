@@ -45,8 +45,8 @@ def against_hop(rows: Sequence[Row]) -> list[Row]:
 
 
 def _hop_figures(row: Row, hop: Row) -> Row:
-    told: Row = {"hop_cpu_us_per_message": hop.get("gateway_cpu_us_per_message")}
+    beside: Row = {"hop_cpu_us_per_message": hop.get("gateway_cpu_us_per_message")}
     if row["rate_hz"] is None:
-        return told | {"hop_per_s": hop["received_per_s"]}
-    told |= {f"hop_{name}": hop[name] for name in ("p50_ms", "p99_ms", "p999_ms")}
-    return told | {"ratio_hop": ratio(row["p50_ms"], hop["p50_ms"])}
+        return beside | {"hop_per_s": hop["received_per_s"]}
+    beside |= {f"hop_{name}": hop[name] for name in ("p50_ms", "p99_ms", "p999_ms")}
+    return beside | {"ratio_hop": ratio(row["p50_ms"], hop["p50_ms"])}

@@ -145,10 +145,10 @@ class _NativeSide:
         """What has arrived, after ``close``.  Raises BenchError if a loop failed."""
         if self._faults:
             raise self._faults[0]
-        told = {}
+        arrays = {}
         for part, stream in self._ins:
-            told[f"numbers {part.key}"], told[f"received {part.key}"] = stream.arrivals()
-        return told
+            arrays[f"numbers {part.key}"], arrays[f"received {part.key}"] = stream.arrivals()
+        return arrays
 
     def _sending_groups(self) -> list[list[OutStream]]:
         """The streams of each thread that sends."""

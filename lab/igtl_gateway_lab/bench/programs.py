@@ -221,11 +221,11 @@ class PythonSide:
         self._transport.close()
 
     def columns(self) -> dict[str, Times]:
-        told = {}
+        arrays = {}
         for key, arrivals in self._heard.items():
-            told[f"numbers {key}"] = np.frombuffer(arrivals.numbers, np.int64)
-            told[f"received {key}"] = np.frombuffer(arrivals.times, np.int64)
-        return told
+            arrays[f"numbers {key}"] = np.frombuffer(arrivals.numbers, np.int64)
+            arrays[f"received {key}"] = np.frombuffer(arrivals.times, np.int64)
+        return arrays
 
 
 def run(job: Job) -> None:

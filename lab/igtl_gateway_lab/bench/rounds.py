@@ -39,19 +39,19 @@ def merge_rounds(rounds: Sequence[Sequence[Row]]) -> list[Row]:
 
 
 def _merged(rows: Sequence[Row]) -> Row:
-    told: Row = {}
+    typical: Row = {}
     for name in rows[0]:
         values = [row[name] for row in rows if row.get(name) is not None]
         if not values or _names(name, values[0]):
-            told[name] = rows[0][name]
+            typical[name] = rows[0][name]
         else:
-            told[name] = _typical(name, values)
+            typical[name] = _typical(name, values)
     for sent, delivered in _LOSSES:
-        if delivered in told and sent in told:
+        if delivered in typical and sent in typical:
             worst = max(rows, key=lambda row: row[sent] - row[delivered])
-            told |= {sent: worst[sent], delivered: worst[delivered]}
-    told["rounds"] = [{name: value for name, value in row.items() if not _names(name, value)} for row in rows]
-    return told
+            typical |= {sent: worst[sent], delivered: worst[delivered]}
+    typical["rounds"] = [{name: value for name, value in row.items() if not _names(name, value)} for row in rows]
+    return typical
 
 
 def _typical(name: str, values: Sequence[Any]) -> Any:

@@ -449,8 +449,8 @@ class Runner:
                     rows.append(row | latency(passages) | late | usage)
                     continue
                 for client, ((stream, passage),) in sorted(heard.items()):
-                    told = bridge.stall.to_row(stream, passage) if client == STALLED else {}
-                    rows.append(row | {"client": NAMES[client]} | latency([passage]) | late | told | usage)
+                    waits = bridge.stall.to_row(stream, passage) if client == STALLED else {}
+                    rows.append(row | {"client": NAMES[client]} | latency([passage]) | late | waits | usage)
         return rows
 
 

@@ -131,7 +131,7 @@ def fit_lines(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
     The floor contains both directions, and is returned once.
     """
-    told = []
+    lines = []
     for name, sweep in SWEEPS.items():
         floors = 0
         for direction in Direction:
@@ -141,8 +141,8 @@ def fit_lines(rows: Sequence[Row]) -> list[dict[str, Any]]:
                 floors += figure == _FLOOR and bool(points)
                 if len(points) > 1 and (figure != _FLOOR or floors == 1):
                     of = {"sweep": name, "direction": direction.value, "figure": figure}
-                    told.append(of | line(points, relative=sweep.logarithmic))
-    return told
+                    lines.append(of | line(points, relative=sweep.logarithmic))
+    return lines
 
 
 def line(points: Sequence[tuple[float, float]], relative: bool = False) -> dict[str, float]:

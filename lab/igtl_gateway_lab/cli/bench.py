@@ -355,12 +355,12 @@ def _table(rows: list[Row]) -> list[str]:
         ]
     for row in rows:
         if row not in passages:
-            told = ", ".join(
+            values = ", ".join(
                 f"{name.replace('_', ' ')} {_shown(value)}"
                 for name, value in row.items()
                 if name not in ("case", "rounds", "bounds")
             )
-            lines.append(f"{row['case']}: {told}" + (f", bounds {shown(row)}" if "bounds" in row else ""))
+            lines.append(f"{row['case']}: {values}" + (f", bounds {shown(row)}" if "bounds" in row else ""))
         else:
             lines += [f"{_name(row)}, {row['direction']}: {text}" for text in _remarks(row)]
     return lines
@@ -368,15 +368,15 @@ def _table(rows: list[Row]) -> list[str]:
 
 def _remarks(row: Row) -> list[str]:
     """What has no column."""
-    told = []
+    remarks = []
     if "recording_p50_ratio" in row:
         times = " and ".join(f"{name} {row[f'recording_{name}_ratio']} times" for name in ("p50", "p99"))
-        told.append(f"{times} that without recording")
+        remarks.append(f"{times} that without recording")
     if "sealing_p50_ratio" in row:
         times = " and ".join(f"{name} {row[f'sealing_{name}_ratio']} times" for name in ("p50", "p99"))
-        told.append(f"{times} that without seals, {row['sealing_cpu_percent']} % of a core more")
+        remarks.append(f"{times} that without seals, {row['sealing_cpu_percent']} % of a core more")
     if "version_1_p50_ratio" in row:
-        told.append(
+        remarks.append(
             f"p50 {row['version_1_p50_ratio']} and CPU {row['version_1_cpu_ratio']} times those of header version 1"
         )
     for name, key in (("DDS", "floor_dds_per_s"), ("Zenoh", "floor_zenoh_per_s")):
@@ -384,11 +384,11 @@ def _remarks(row: Row) -> list[str]:
             continue
         hop = f", with the hop between them {row['hop_per_s']:,.0f}/s" if row.get("hop_per_s") else ""
         bare = f"{row[key]:,.0f}/s ({name}) and {row['floor_tcp_per_s']:,.0f}/s (TCP)"
-        told.append(f"bare hops {bare}{hop}")
+        remarks.append(f"bare hops {bare}{hop}")
     if "sent_after_resume" in row:
         after = f"{row['delivered_after_resume']:,} of {row['sent_after_resume']:,} sent after it read again"
-        told.append(f"{after}, {row['gateway_dropped']:,} dropped by the gateway")
-    return told
+        remarks.append(f"{after}, {row['gateway_dropped']:,} dropped by the gateway")
+    return remarks
 
 
 def _fitted(lines: list[dict[str, Any]]) -> list[str]:

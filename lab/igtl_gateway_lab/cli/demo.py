@@ -70,8 +70,8 @@ def _demo(recording: Path, seconds: float) -> int:
     summaries = _traffic(recording, seconds)
     for name, summary in summaries.items():
         print_line("", f"{name} sent {count_text(sum(summary['sent'].values()), 'message')} and received:")
-        for stream, told in sorted(summary["received"].items()):
-            print_line(f"  {stream:<36} {told['messages']:>5}, last: {told['last']}")
+        for stream, counts in sorted(summary["received"].items()):
+            print_line(f"  {stream:<36} {counts['messages']:>5}, last: {counts['last']}")
         if not summary["received"]:
             raise DemoError(f"{name} received nothing")
     _title(2, f"what was recorded ({size_text(recording.stat().st_size)})")
@@ -176,7 +176,7 @@ def _replayed(recording: Path, pace: tuple[str, ...]) -> tuple[str, int]:
         with _program(
             "igtl_gateway", "replay", str(recording), "--to", "igtl", "--exact", "--connect", target, "--json", *pace
         ):
-            told = _event(collector, "summary")
+            summary = _event(collector, "summary")
         seconds = (clock.monotonic_ns() - begun_ns) / NS_PER_S
-    print_line(f"replay {' '.join(pace):<24} {count_text(told['bytes'], 'byte')} in {seconds:.1f} s", flush=True)
-    return told["sha256"], told["bytes"]
+    print_line(f"replay {' '.join(pace):<24} {count_text(summary['bytes'], 'byte')} in {seconds:.1f} s", flush=True)
+    return summary["sha256"], summary["bytes"]

@@ -24,8 +24,8 @@ from igtl_gateway.cli.terminal import print_json, print_line, print_text
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.interfaces import SHARES
 from igtl_gateway.gateway import Gateway
-from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.schemas import RosTypes
+from igtl_gateway.record.sessionfile.whole_files import written
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway_lab.cli import stage
 from igtl_gateway_lab.simulate.catalogue import SCENARIOS
@@ -166,10 +166,10 @@ def _write(options: argparse.Namespace, scenario: Scenario) -> int:
     reports = {actor.name: (actor.done, actor.report()) for actor in cast}
     good = all(done and report.good for done, report in reports.values())
     length, sha256 = options.output.stat().st_size, content.hexdigest()
-    told = {"file": str(options.output), "entries": entries, "bytes": length, "sha256": sha256, "good": good}
+    facts = {"file": str(options.output), "entries": entries, "bytes": length, "sha256": sha256, "good": good}
     if options.json:
         actors = {name: stage.report_facts(done, report) for name, (done, report) in reports.items()}
-        print_json(told | ({"actors": actors} if actors else {}))
+        print_json(facts | ({"actors": actors} if actors else {}))
     else:
         print_line(scenario.title)
         for name, (done, report) in reports.items():

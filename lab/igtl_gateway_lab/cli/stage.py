@@ -226,12 +226,12 @@ class _StageOutput:
             entries = count_text(outcome.recording["entries"], "entry", "entries")
             if lost := outcome.recording["dropped"]:
                 entries += f", LOST {lost:,}"
-            told = (
+            verdict = (
                 f"verified: all {count_text(verification.equal, 'output')} equal, byte for byte"
                 if verification.good
                 else f"DIFFERENT: {verification.differences[0]}"
             )
-            print_line(f"recording    {where}{entries}, {size_text(outcome.recording['bytes'])}; {told}")
+            print_line(f"recording    {where}{entries}, {size_text(outcome.recording['bytes'])}; {verdict}")
         why = "" if outcome.end is StageEnd.OVER else f" ({outcome.end.value})"
         print_line(f"{self._name}: {'passed' if good else 'FAILED'}{why}, {outcome.seconds:.1f} s")
 
@@ -245,12 +245,12 @@ class _StageOutput:
 
     def _status(self) -> None:
         if self._terminal:
-            told = " | ".join(f"{name} {state}" for name, state in self._state.items())
-            live_line(told)
+            line = " | ".join(f"{name} {state}" for name, state in self._state.items())
+            live_line(line)
 
 
 def _facts(name: str, outcome: StageOutcome, verification: Verification | None, good: bool) -> dict[str, Any]:
-    told: dict[str, Any] = {
+    facts: dict[str, Any] = {
         "scenario": name,
         "good": good,
         "end": outcome.end.value,
@@ -268,9 +268,9 @@ def _facts(name: str, outcome: StageOutcome, verification: Verification | None, 
         "warnings": outcome.warnings,
     }
     if outcome.recording and verification:
-        told["recording"] = outcome.recording
-        told["verified"] = {"good": verification.good, "outputs": verification.outputs, "equal": verification.equal}
-    return told
+        facts["recording"] = outcome.recording
+        facts["verified"] = {"good": verification.good, "outputs": verification.outputs, "equal": verification.equal}
+    return facts
 
 
 def play_actor(options: argparse.Namespace, scenario: Scenario) -> int:

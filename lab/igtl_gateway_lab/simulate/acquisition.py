@@ -112,7 +112,7 @@ class AcquisitionRobot:
         self._position = HOME_MM
         self._ready = False
         self._over = False
-        self._told: list[str] = []
+        self._steps: list[str] = []
         # what it will do: time, number, deed
         self._plans: list[tuple[int, int, Callable[[int], list[Sent]]]] = []
         self._number = 0
@@ -129,10 +129,10 @@ class AcquisitionRobot:
         return self._over and not self._plans
 
     def act(self, now_ns: int) -> Iterable[Sent]:
-        said: list[Sent] = []
+        messages: list[Sent] = []
         while self._plans and self._plans[0][0] <= now_ns:
-            said += heapq.heappop(self._plans)[2](now_ns)
-        return said
+            messages += heapq.heappop(self._plans)[2](now_ns)
+        return messages
 
     def receive(self, now_ns: int, received: Received) -> Iterable[Sent]:
         assert isinstance(received, RosReceived)
@@ -143,12 +143,12 @@ class AcquisitionRobot:
                 return self._move(now_ns, PointStamped.unpack(received.cdr))
             case RosCommand.TYPE if self._ready:
                 return self._acquire(now_ns, RosCommand.unpack(received.cdr))
-        self._told.append(f"refused {received.topic}: not initialised")
+        self._steps.append(f"refused {received.topic}: not initialised")
         return ()
 
     def report(self) -> ActorReport:
         x, y, z = self._position
-        lines = (*self._told, f"probe at ({x:.2f}, {y:.2f}, {z:.2f}) mm")
+        lines = (*self._steps, f"probe at ({x:.2f}, {y:.2f}, {z:.2f}) mm")
         return ActorReport(self.done, lines, {"position_mm": list(self._position), "initialised": self._ready})
 
     def _later(self, time_ns: int, deed: Callable[[int], list[Sent]]) -> None:
@@ -195,7 +195,7 @@ class AcquisitionRobot:
         if known:
             self._later(now_ns + _SETTLE_NS, self._image)
         reply = CommandReply(Header(now_ns), "Probe", order.id, order.name, status, error, link=order.link)
-        self._told.append(f"command {order.name}: {error or 'done'}")
+        self._steps.append(f"command {order.name}: {error or 'done'}")
         return [RosSent("/igtl/out/Probe/command_reply", reply)]
 
     def _image(self, now_ns: int) -> list[Sent]:
@@ -208,7 +208,7 @@ class AcquisitionRobot:
         return TransformStamped(Header(now_ns, _BASE_FRAME), "probe", (x, y, z), (0.0, 0.0, 0.0, 1.0))
 
     def _status(self, text: str) -> Sent:
-        self._told.append(text.lower())
+        self._steps.append(text.lower())
         return self._publish("Robot/string", String(text))
 
     def _publish(self, stream: str, message: RosMessage) -> Sent:

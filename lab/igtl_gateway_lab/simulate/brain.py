@@ -159,7 +159,7 @@ class BrainPlanner:
         self._verdict: Caption | None = None
         self._model: tuple[int, Sum] | None = None  # arrival, what it was
         self._equal = 0
-        self._told_equal = 0
+        self._at_ros = 0
         self._to_igtl_s: list[float] = []
         self._both_s: list[float] = []
 
@@ -212,7 +212,7 @@ class BrainPlanner:
             return
         arrived_ns, found = self._model
         self._equal += found == self._cargo.sum == self._verdict.sum
-        self._told_equal += self._verdict.equal
+        self._at_ros += self._verdict.equal
         self._to_igtl_s.append((arrived_ns - self._verdict.sent_ns) / NS_PER_S)
         self._both_s.append((arrived_ns - self._sent_ns) / NS_PER_S)
         self._verdict = self._model = None
@@ -228,12 +228,12 @@ class BrainPlanner:
             return ActorReport(False, ("no node of ROS was ready",), {"sent": 0})
         cargo = self._cargo
         size = sum(memoryview(part).nbytes for part in cargo.content.pack())
-        good = self._equal == self._told_equal == self._rounds
+        good = self._equal == self._at_ros == self._rounds
         return ActorReport(
             good,
             (
                 f"{cargo.source}: {cargo.sum}, {size / 1e6:.1f} MB as POLYDATA",
-                f"{self._round} sent, {self._told_equal} arrived at ROS and {self._equal} came back equal, bit by bit",
+                f"{self._round} sent, {self._at_ros} arrived at ROS and {self._equal} came back equal, bit by bit",
                 f"ROS → OpenIGTLink {_seconds(self._to_igtl_s)}, there and back {_seconds(self._both_s)}",
             ),
             {
@@ -242,7 +242,7 @@ class BrainPlanner:
                 "faces": cargo.sum.faces,
                 "polydata_bytes": size,
                 "sent": self._round,
-                "equal_at_ros": self._told_equal,
+                "equal_at_ros": self._at_ros,
                 "equal_back": self._equal,
                 "to_igtl_s": self._to_igtl_s,
                 "there_and_back_s": self._both_s,

@@ -83,7 +83,7 @@ class _Down:
 
 
 @dataclass(frozen=True, slots=True)
-class _Said:
+class _Sent:
     """A peer sends a message; ``data`` replaces the encoded body."""
 
     link: int
@@ -109,7 +109,7 @@ class _Tick:
     after_s: float
 
 
-_Step = _Up | _Down | _Said | _Published | _Tick
+_Step = _Up | _Down | _Sent | _Published | _Tick
 
 
 def inputs() -> Iterator[ScenarioInput]:
@@ -130,16 +130,16 @@ def inputs() -> Iterator[ScenarioInput]:
                 yield tick_input(time_ns)
             case _Published(name, message):
                 yield ros_input(time_ns, name, stamped(message, time_ns - 3 * NS_PER_MS), time_ns - 2 * NS_PER_MS)
-            case _Said():
+            case _Sent():
                 yield _heard(step, time_ns)
 
 
-def _heard(said: _Said, time_ns: int) -> ScenarioInput:
-    if said.data:
-        return ScenarioInput(time_ns, Kind.IGTL_IN, said.data, link=said.link)
-    ticks = ns_to_ticks(time_ns - 5 * NS_PER_MS) if said.stamped else 0
+def _heard(sent: _Sent, time_ns: int) -> ScenarioInput:
+    if sent.data:
+        return ScenarioInput(time_ns, Kind.IGTL_IN, sent.data, link=sent.link)
+    ticks = ns_to_ticks(time_ns - 5 * NS_PER_MS) if sent.stamped else 0
     return peer_input(
-        time_ns, said.link, Message(said.type, said.device, said.content, ticks, said.version, 0, said.metadata)
+        time_ns, sent.link, Message(sent.type, sent.device, sent.content, ticks, sent.version, 0, sent.metadata)
     )
 
 
@@ -171,20 +171,20 @@ def _without_peers() -> Iterator[_Step]:
 def _greetings() -> Iterator[_Step]:
     """Everyone comes; some show what they are."""
     yield from map(_Up, (OLD, NEW, SLICER, PLUS, BRAINLAB, HOLOSCAN))
-    yield _Said(NEW, "STATUS", "New", Status(1), (Item.of("greeting", "hello"),), 2)
+    yield _Sent(NEW, "STATUS", "New", Status(1), (Item.of("greeting", "hello"),), 2)
     # the first message of 3D Slicer
-    yield _Said(SLICER, "STATUS", "", Status(1), (Item.of("dummy", "dummy"),), 2, stamped=False)
+    yield _Sent(SLICER, "STATUS", "", Status(1), (Item.of("dummy", "dummy"),), 2, stamped=False)
     valid = (Item.of("TransformValid", "true"), Item.of("TransformStatus", "OK"))
-    yield _Said(PLUS, "TRANSFORM", "StylusToRef", Transform((*every_igtl.TILTED, 1.0, 2.0, 3.0)), valid, 2)
+    yield _Sent(PLUS, "TRANSFORM", "StylusToRef", Transform((*every_igtl.TILTED, 1.0, 2.0, 3.0)), valid, 2)
 
 
 def _unanswered() -> Iterator[_Step]:
     """Queries without data: each peer gets a reply that it can read."""
     for link, version in ((OLD, 1), (NEW, 2), (SLICER, 2), (BRAINLAB, 1)):
-        yield _Said(link, "GET_TRAJ", "", EmptyQuery(), version=version)
-        yield _Said(link, "GET_TRANS", "", EmptyQuery(), version=version)
-    yield _Said(NEW, "STT_TDATA", "", StartTracking(0, "NoSuchFrame"), version=2)
-    yield _Said(NEW, "GET_MYTYPE", "", Raw(b""), version=2)
+        yield _Sent(link, "GET_TRAJ", "", EmptyQuery(), version=version)
+        yield _Sent(link, "GET_TRANS", "", EmptyQuery(), version=version)
+    yield _Sent(NEW, "STT_TDATA", "", StartTracking(0, "NoSuchFrame"), version=2)
+    yield _Sent(NEW, "GET_MYTYPE", "", Raw(b""), version=2)
 
 
 def _frames() -> Iterator[_Step]:
@@ -192,7 +192,7 @@ def _frames() -> Iterator[_Step]:
     yield _Published("/tf_static", tf_frames(("Base", "Camera", (0.5, 0.0, 1.0, 0.6, 0.0, 0.0, 0.8))))
     arm, tool = ("Base", "Arm", (0.0, 0.0, 0.25, *every_igtl.TURNED)), ("Arm", "Tool", (0.0, 0.125, 0.0, *_UPRIGHT))
     yield _Published("/tf", tf_frames(arm, tool))
-    yield _Said(OLD, "TRANSFORM", "MarkerToCamera", Transform((*every_igtl.QUARTER, 10.0, 20.0, 30.0)))
+    yield _Sent(OLD, "TRANSFORM", "MarkerToCamera", Transform((*every_igtl.QUARTER, 10.0, 20.0, 30.0)))
     # of the two edges one is newer than the other: what goes out is between two samples
     yield _Published("/tf", tf_frames(("Base", "Arm", (0.0, 0.0, 0.5, *_UPRIGHT))))
     yield _Published("/tf", tf_frames(("Arm", "Tool", (0.25, 0.125, 0.0, *_UPRIGHT))))
@@ -207,11 +207,11 @@ def _tracked() -> Iterator[_Step]:
     yield _Up(TRACKER)
     yield _Published(topic("Pose"), tool_pose(0))
     yield _Published(topic("Pose/as_position"), tool_pose(0))
-    yield _Said(TRACKER, "GET_QTDATA", "", EmptyQuery())
-    yield _Said(TRACKER, "STT_QTDATA", "", StartTracking(50, ""))
+    yield _Sent(TRACKER, "GET_QTDATA", "", EmptyQuery())
+    yield _Sent(TRACKER, "STT_QTDATA", "", StartTracking(50, ""))
     for step in range(6):
         yield _Published(topic("Pose/as_position"), tool_pose(step))
-    yield _Said(TRACKER, "STP_QTDATA", "", EmptyQuery())
+    yield _Sent(TRACKER, "STP_QTDATA", "", EmptyQuery())
     yield _Published(topic("Pose/as_position"), tool_pose(6))
 
 
@@ -220,24 +220,24 @@ def _contents() -> Iterator[_Step]:
     for index, (igtl_type, device, content) in enumerate(every_igtl.contents()):
         link = (OLD, NEW)[index % 2]
         # one of them unstamped, as everything from 3D Slicer is
-        yield _Said(link, igtl_type, device, content, version=link, stamped=igtl_type != "QTRANS")
+        yield _Sent(link, igtl_type, device, content, version=link, stamped=igtl_type != "QTRANS")
 
 
 def _metadata() -> Iterator[_Step]:
     """Metadata with a standard message, with an igtl_msgs message, and with one without conversion."""
     device = short_device_name(every_igtl.METADATA[0].text)
     for igtl_type, content in (("TRANSFORM", Transform((*every_igtl.TILTED, 4.0, 5.0, 6.0))), ("MYTYPE", Raw(b"x"))):
-        yield _Said(NEW, igtl_type, device, content, every_igtl.METADATA, 2)
-    yield _Said(NEW, "GET_STATUS", device, EmptyQuery(), every_igtl.METADATA, 2)
-    yield _Said(SLICER, "STRING", "Node", String.of("pushed"), (Item.of("MRMLNodeName", "Node"),), 2, stamped=False)
+        yield _Sent(NEW, igtl_type, device, content, every_igtl.METADATA, 2)
+    yield _Sent(NEW, "GET_STATUS", device, EmptyQuery(), every_igtl.METADATA, 2)
+    yield _Sent(SLICER, "STRING", "Node", String.of("pushed"), (Item.of("MRMLNodeName", "Node"),), 2, stamped=False)
 
 
 def _refused() -> Iterator[_Step]:
     """Messages that fail on their way and cost only themselves."""
     good = join(encode(Message("STRING", "Greeting", String.of("intact"), ns_to_ticks(START_NS))))
-    yield _Said(OLD, "", "", Raw(b""), data=good[:-1] + b"?")
+    yield _Sent(OLD, "", "", Raw(b""), data=good[:-1] + b"?")
     for content in (b"\x00\x03\xff\xff", b"\x00"):
-        yield _Said(OLD, "STRING", "Greeting", Raw(content))
+        yield _Sent(OLD, "STRING", "Greeting", Raw(content))
     yield _Published(topic("Surface/mesh"), rosmsg.Mesh(np.array([[0, 1, 2]], np.uint32), np.full((3, 3), np.nan)))
     yield _Published("/igtl/out/Query/query", Query(Header(), 9, "TDATA"))
 
@@ -247,53 +247,53 @@ def _settings() -> Iterator[_Step]:
     told = rosmsg.TransformStamped(Header(0, "Base"), "Told", (1.0, 2.0, 3.0), every_igtl.TURNED)
     yield _Published("/told/pose", told)
     yield _Published("/millimetres/pose", told)
-    yield _Said(OLD, "TRANSFORM", "Metres", Transform((*every_igtl.TILTED, 1.0, 2.0, 3.0)))
+    yield _Sent(OLD, "TRANSFORM", "Metres", Transform((*every_igtl.TILTED, 1.0, 2.0, 3.0)))
 
 
 def _queries() -> Iterator[_Step]:
     """Every query from a peer and, to that peer, from ROS; then some by and for those that take few."""
     for name in QUERIES:
-        yield _Said(NEW, name, "", every_igtl.query(name), version=2)
+        yield _Sent(NEW, name, "", every_igtl.query(name), version=2)
     for query in every_ros.queries(TRACKER):
         yield _Published("/igtl/out/Query/query", query)
     for name in ("GET_STATUS", "GET_CAPABIL", "GET_TRANS", "GET_TDATA", "GET_POINT", "GET_IMGMETA"):
         for link, version in ((OLD, 1), (SLICER, 2), (PLUS, 2), (HOLOSCAN, 2)):
-            yield _Said(link, name, "", EmptyQuery(), version=version)
-    yield _Said(OLD, "GET_TRANS", "ToolToBase", EmptyQuery())
+            yield _Sent(link, name, "", EmptyQuery(), version=version)
+    yield _Sent(OLD, "GET_TRANS", "ToolToBase", EmptyQuery())
     yield _Published("/igtl/out/Query/query", Query(Header(0, "Base"), Query.GET, "STATUS"))
 
 
 def _streams() -> Iterator[_Step]:
     """Tracking data at the pace and in the frame that a peer asked for, and none behind its STP_."""
-    yield _Said(TRACKER, "STT_TDATA", "Tools", StartTracking(50, "Base"))
+    yield _Sent(TRACKER, "STT_TDATA", "Tools", StartTracking(50, "Base"))
     for step in range(8):
         yield _Published(topic("Tools"), tracking_step(step))
-    yield _Said(TRACKER, "STT_TDATA", "Tools", StartTracking(0, "Tool"))
+    yield _Sent(TRACKER, "STT_TDATA", "Tools", StartTracking(0, "Tool"))
     yield _Published(topic("Tools"), tracking_step(8))
-    yield _Said(TRACKER, "STP_TDATA", "Tools", EmptyQuery())
+    yield _Sent(TRACKER, "STP_TDATA", "Tools", EmptyQuery())
     yield _Published(topic("Tools"), tracking_step(9))
-    yield _Said(TRACKER, "STT_TDATA", "Scene", StartTracking(0, "Camera"))
+    yield _Sent(TRACKER, "STT_TDATA", "Scene", StartTracking(0, "Camera"))
     arm, tool = ("Base", "Arm", (0.0, 0.0, 1.0, *_UPRIGHT)), ("Arm", "Tool", (0.5, 0.0, 0.0, *_UPRIGHT))
     yield _Published("/tf", tf_frames(arm, tool))
 
 
 def _commands() -> Iterator[_Step]:
     """Commands both ways: answered, refused, too late, and lost with their peer."""
-    yield _Said(NEW, "COMMAND", "Robot", every_igtl.command_content(7, "Start"), (Item.of("who", "surgeon"),), 2)
-    yield _Said(NEW, "COMMAND", "Robot", every_igtl.command_content(7, "Again"), version=2)
-    yield _Said(OLD, "COMMAND", "Robot", every_igtl.command_content(7, "Start"))
+    yield _Sent(NEW, "COMMAND", "Robot", every_igtl.command_content(7, "Start"), (Item.of("who", "surgeon"),), 2)
+    yield _Sent(NEW, "COMMAND", "Robot", every_igtl.command_content(7, "Again"), version=2)
+    yield _Sent(OLD, "COMMAND", "Robot", every_igtl.command_content(7, "Start"))
     yield _Published("/igtl/out/Robot/command_reply", _reply(7, CommandReply.SUCCESS, NEW, content="done"))
     yield _Published("/igtl/out/Robot/command_reply", _reply(7, CommandReply.FAIL, OLD, "arm is not homed"))
     yield _Published("/igtl/out/Robot/command_reply", _reply(7, CommandReply.SUCCESS, OLD, content="again"))
     order = igtl_msgs.Command(Header(), "Slicer", 0, "LoadScene", 106, "<Größe/>", (MetadataItem("who", 0, "robot"),))
     yield _Published("/igtl/out/Slicer/command", replace(order, link=SLICER))
-    yield _Said(
+    yield _Sent(
         SLICER, "RTS_COMMAND", "Slicer", every_igtl.command_content(1, "LoadScene"), (Item.of("Status", "FAIL"),), 2
     )
     yield _Published("/igtl/out/Slicer/command", replace(order, id=12, timeout=0.5))
     for link, version in ((OLD, 1), (NEW, 2), (SLICER, 2), (PLUS, 2)):
-        yield _Said(link, "RTS_COMMAND", "Slicer", every_igtl.command_content(12, "LoadScene"), version=version)
-    yield _Said(NEW, "COMMAND", "Robot", every_igtl.command_content(8, "Forgotten"), version=2)
+        yield _Sent(link, "RTS_COMMAND", "Slicer", every_igtl.command_content(12, "LoadScene"), version=version)
+    yield _Sent(NEW, "COMMAND", "Robot", every_igtl.command_content(8, "Forgotten"), version=2)
     yield from map(_Tick, (0.1, 0.5, 0.5))
     yield _Published("/igtl/out/Slicer/command", replace(order, link=BRAINLAB, timeout=60.0))
     yield _Down(BRAINLAB)
@@ -319,12 +319,12 @@ def _robots() -> Iterator[_Step]:
     """The messages of an arm with CRTK names, each way."""
     yield from (_Published(topic(device), message) for device, _, message in every_ros.robot_messages())
     for igtl_type, kind, content in every_igtl.robot_messages():
-        yield _Said(NEW, igtl_type, f"As_{kind}", content, version=2)
+        yield _Sent(NEW, igtl_type, f"As_{kind}", content, version=2)
 
 
 def _ends() -> Iterator[_Step]:
     """A silent peer is pinged; a late joiner gets the latched messages; all peers disconnect."""
     yield _Tick(0.3)
-    yield _Said(PLUS, "STATUS", "", Status(1), version=2)
+    yield _Sent(PLUS, "STATUS", "", Status(1), version=2)
     yield _Up(LATE)
     yield from map(_Down, (OLD, NEW, SLICER, PLUS, HOLOSCAN, TRACKER, LATE))

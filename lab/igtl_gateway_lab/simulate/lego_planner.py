@@ -150,21 +150,21 @@ class LegoPlanner:
             lesion = self._crosses[list(LANDMARKS | CHECKS).index(AT_LESION)]
             expected = expected_tre(self._crosses[: len(LANDMARKS)], found.fre, lesion)
             # a check point is touched no better than a landmark
-            told = math.hypot(expected, expected_fle(len(LANDMARKS), found.fre))
+            check_mm = math.hypot(expected, expected_fle(len(LANDMARKS), found.fre))
             facts |= {
                 "fre_mm": round(found.fre, 3),
                 "residuals_mm": residuals,
                 "tre_mm": round(rms(checked), 3),
                 "checks_mm": dict(zip(CHECKS, np.round(checked, 2).tolist(), strict=True)),
                 "expected_tre_mm": round(expected, 3),
-                "expected_check_mm": round(told, 3),
+                "expected_check_mm": round(check_mm, 3),
                 "transform": [[round(value, 4) for value in row] for row in found.transform.rows],
             }
             lines += [
                 f"registration: {len(LANDMARKS)} landmarks, FRE {found.fre:.2f} mm, "
                 f"worst {worst} {residuals[worst]:.2f} mm",
                 f"TRE at {len(CHECKS)} check points {rms(checked):.2f} mm (rms), largest {checked.max():.2f} mm",
-                f"expected at the lesion: TRE {expected:.2f} mm, and {told:.2f} mm with the error of touching it",
+                f"expected at the lesion: TRE {expected:.2f} mm, and {check_mm:.2f} mm with the error of touching it",
             ]
         if self._line:
             line = self._line

@@ -127,7 +127,7 @@ def inputs() -> Iterator[ScenarioInput]:
         yield peer_input(time_ns, link, Message(type_name, device, content, ticks, header_version=link))
     for name, message in _ros_messages(Header(0, "base")):
         time_ns += _STEP_NS
-        told = stamped(message, time_ns - 3_000_000)
-        yield ros_input(time_ns, f"/igtl/out/{name}", told, sent_ns=time_ns - 2_000_000)
+        late = stamped(message, time_ns - 3_000_000)
+        yield ros_input(time_ns, f"/igtl/out/{name}", late, sent_ns=time_ns - 2_000_000)
     yield link_down_input(time_ns + _STEP_NS, _OLD, "127.0.0.1:52001")
     yield link_down_input(time_ns + _STEP_NS + 1, _NEW, "127.0.0.1:52002")

@@ -124,18 +124,18 @@ class _OfflineStage:
 
     def _send_from(self, actor: Actor, words: Iterable[Sent]) -> None:
         """Queue the messages that an actor sends now."""
-        for said in words:
-            if isinstance(said, RosSent):
-                self._publish(actor, said)
+        for message in words:
+            if isinstance(message, RosSent):
+                self._publish(actor, message)
             else:
-                self._send(IGTL_NS, self._to_gateway(said, self._numbers[actor.name]))
+                self._send(IGTL_NS, self._to_gateway(message, self._numbers[actor.name]))
 
     def _to_gateway(self, message: Message, link: int) -> Callable[[], Iterable[Entry]]:
         data = join(encode(message))
         return lambda: self._input(Kind.IGTL_IN, data, link=link)
 
-    def _publish(self, actor: Actor, said: RosSent) -> None:
-        topic, ros_type, cdr, sent_ns = said.topic, said.message.TYPE, said.message.pack(), self._now_ns
+    def _publish(self, actor: Actor, message: RosSent) -> None:
+        topic, ros_type, cdr, sent_ns = message.topic, message.message.TYPE, message.message.pack(), self._now_ns
         if topic not in actor.publishes:
             raise ValueError(
                 f"{actor.name}: publishes on {topic}, expected one of {', '.join(actor.publishes) or 'none'}"

@@ -85,9 +85,9 @@ class SuturePlanner:
 
     def report(self) -> ActorReport:
         moved = {name: round(by_mm, 2) for name, by_mm in self._moved.items()}
-        told = ", ".join(f"{name} by {by_mm:.1f} mm" for name, by_mm in moved.items()) or "nothing"
+        moves = ", ".join(f"{name} by {by_mm:.1f} mm" for name, by_mm in moved.items()) or "nothing"
         lines = (
-            f"clouds looked at: {self._clouds}; moved: {told}",
+            f"clouds looked at: {self._clouds}; moved: {moves}",
             "plan approved" if self._approved else "plan not approved",
         )
         return ActorReport(
@@ -98,8 +98,8 @@ class SuturePlanner:
         if self._wanted is None:
             self._plan = plan
             return
-        told = _positions(plan)
-        if told.shape == self._wanted.shape and (np.abs(told - self._wanted) < _SAME_MM).all():
+        received = _positions(plan)
+        if received.shape == self._wanted.shape and (np.abs(received - self._wanted) < _SAME_MM).all():
             self._wanted = None
             self._agenda.add(now_ns + _APPROVING_NS, self._approve)
 
@@ -123,8 +123,8 @@ class SuturePlanner:
         self._agenda.add(now_ns + _LOOKING_NS, lambda at_ns: self._correct(at_ns, points))
 
     def _correct(self, now_ns: int, points: Points) -> Iterable[Sent]:
-        told = ", ".join(f"{name}, {by_mm:.1f} mm off the cloud" for name, by_mm in self._moved.items())
-        yield _message("STRING", String.of(f"moved: {told}"), now_ns)
+        moves = ", ".join(f"{name}, {by_mm:.1f} mm off the cloud" for name, by_mm in self._moved.items())
+        yield _message("STRING", String.of(f"moved: {moves}"), now_ns)
         yield _message("POINT", points, now_ns, topics.POINTS_DEVICE)
 
     def _approve(self, now_ns: int) -> Iterable[Sent]:

@@ -139,9 +139,9 @@ class _Tester:
         if self._sent == self._to_send:
             self._gave_up = True
             return []
-        said = self._message(self._sent, now_ns)
+        sent = self._message(self._sent, now_ns)
         self._sent, self._sent_ns = self._sent + 1, now_ns
-        return [said]
+        return [sent]
 
     def _message(self, number: int, now_ns: int) -> Sent:
         raise NotImplementedError

@@ -133,10 +133,10 @@ class Scanner:
         if self._sent == self._count:
             self._due_ns = now_ns + _AGAIN_NS
             return (Message("STRING", "Sweep", String.of(f"finished: {self._count} pictures"), ns_to_ticks(now_ns)),)
-        said = self._shot(self._sent)
+        shots = self._shot(self._sent)
         self._sent += 1
         self._due_ns = self._start_ns + self._sent * FRAME_NS + _DELAY_NS
-        return said
+        return shots
 
     def _shot(self, number: int) -> Iterable[Sent]:
         ticks = ns_to_ticks(self._start_ns + number * FRAME_NS)
@@ -364,8 +364,8 @@ class Navigator:
         # down into the arm, leaning by 40° along it
         header = Header(now_ns, "Reference")
         yield RosSent(_NEEDLE, TransformStamped(header, "Needle", (x, y, z), (0.342, 0.0, 0.0, 0.94)))
-        told = f"{len(stack)} of {len(self._found)} pictures have a pose; swept {self._swept_mm:.1f} mm"
-        yield RosSent(_STATUS, DiagnosticStatus(0, "Navigator", told))
+        summary = f"{len(stack)} of {len(self._found)} pictures have a pose; swept {self._swept_mm:.1f} mm"
+        yield RosSent(_STATUS, DiagnosticStatus(0, "Navigator", summary))
 
     @property
     def done(self) -> bool:

@@ -55,7 +55,7 @@ class ActorTransport(Protocol):
     def missing(self, timeout_s: float) -> str:
         """What it still waits for before the story can begin; waits for so long at most."""
 
-    def send(self, said: Sent) -> str:
+    def send(self, message: Sent) -> str:
         """Send it; the name of its stream."""
 
     def close(self) -> None:
@@ -93,9 +93,11 @@ class ActorProgram:
         self._sent: Counter[str] = Counter()
         self._received: Counter[str] = Counter()
         if actor.side is ActorProtocol.ROS:
-            self._voice: ActorTransport = _RosActorTransport(actor, others, config, peers, self._heard.put, self._warn)
+            self._transport: ActorTransport = _RosActorTransport(
+                actor, others, config, peers, self._heard.put, self._warn
+            )
         else:
-            self._voice = _IgtlActorTransport(actor, connection, clock, self._heard.put, self._warn)
+            self._transport = _IgtlActorTransport(actor, connection, clock, self._heard.put, self._warn)
 
     def begin(self) -> None:
         """Everybody is ready; from any thread."""
@@ -111,15 +113,15 @@ class ActorProgram:
         """Connect, play until the end, report.  Raises ConfigError or RosError if it cannot connect."""
         if isinstance(self._actor, Preparable):
             self._actor.prepare()
-        if told := self._voice.open():
-            self._on_event({"event": "listening", **told})
+        if address := self._transport.open():
+            self._on_event({"event": "listening", **address})
         try:
             if self._wait_for_others():
                 self._on_event({"event": "ready"})
                 if self._wait_for_begin():
                     self._play()
         finally:
-            self._voice.close()
+            self._transport.close()
         report = self._actor.report()
         self._on_event(
             {
@@ -133,14 +135,14 @@ class ActorProgram:
         )
 
     def _wait_for_others(self) -> bool:
-        told = ""
+        reported = ""
         while not self._end.is_set():
-            missing = self._voice.missing(_LOOK_S)
+            missing = self._transport.missing(_LOOK_S)
             if not missing:
                 return True
-            if missing != told:
+            if missing != reported:
                 self._on_event({"event": "waiting", "for": missing})
-                told = missing
+                reported = missing
         return False
 
     def _wait_for_begin(self) -> bool:
@@ -175,8 +177,8 @@ class ActorProgram:
             self._send(self._actor.receive(self._clock.utc_ns(), received))
 
     def _send(self, words: Any) -> None:
-        for said in words:
-            self._sent[self._voice.send(said)] += 1
+        for message in words:
+            self._sent[self._transport.send(message)] += 1
 
     def _warn(self, text: str) -> None:
         self._on_event({"event": "warning", "text": text})
@@ -207,14 +209,14 @@ class _IgtlActorTransport:
         )
 
     def open(self) -> dict[str, Any]:
-        told: dict[str, Any] = {}
+        address: dict[str, Any] = {}
         if self._connection.server:
             host, port = self._edge.listen(*self._connection.address)
-            told = {"host": host, "port": port}
+            address = {"host": host, "port": port}
         else:
             self._edge.connect(*self._connection.address)
         self._edge.start()
-        return told
+        return address
 
     def missing(self, timeout_s: float) -> str:
         if self._edge.wait_links(1, timeout_s):
@@ -222,10 +224,10 @@ class _IgtlActorTransport:
         host, port = self._connection.address
         return f"{'a client' if self._connection.server else 'a server'} at {host}:{port}"
 
-    def send(self, said: Sent) -> str:
-        assert isinstance(said, Message)
-        stream = _stream(said)
-        self._edge.send((self._link,), encode(said), stream, keep=True)
+    def send(self, message: Sent) -> str:
+        assert isinstance(message, Message)
+        stream = _stream(message)
+        self._edge.send((self._link,), encode(message), stream, keep=True)
         return stream
 
     def close(self) -> None:
@@ -302,11 +304,11 @@ class _RosActorTransport:
                 return f"{count} subscriber{'s' * (count > 1)} of {topic}"
         return ""
 
-    def send(self, said: Sent) -> str:
-        assert isinstance(said, RosSent)
-        message = said.message
-        self._edge.publish(said.topic, message.TYPE, message.pack(), self._qos[said.topic])
-        return said.topic
+    def send(self, message: Sent) -> str:
+        assert isinstance(message, RosSent)
+        content = message.message
+        self._edge.publish(message.topic, content.TYPE, content.pack(), self._qos[message.topic])
+        return message.topic
 
     def close(self) -> None:
         self._edge.stop()

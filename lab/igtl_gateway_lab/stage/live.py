@@ -273,9 +273,9 @@ class Stage:
         self._on_event(name, event)
 
     def _part(self, actor: Actor) -> ActorResult:
-        told = self._reports[actor.name]
-        report = ActorReport(told["good"], tuple(told["lines"]), told["facts"])
-        return ActorResult(actor.side, actor.name in self._state["done"], report, told["sent"], told["received"])
+        event = self._reports[actor.name]
+        report = ActorReport(event["good"], tuple(event["lines"]), event["facts"])
+        return ActorResult(actor.side, actor.name in self._state["done"], report, event["sent"], event["received"])
 
 
 def start_program(name: str, command: Sequence[str], events: SimpleQueue[tuple[str, Event | None]]) -> Child:

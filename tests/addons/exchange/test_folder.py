@@ -10,7 +10,7 @@ from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import FileNames, file_name, new_folder
 from igtl_gateway.base.errors import ConfigError, GatewayError, UnsupportedRecording
 from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.record.sessionfile.beside import written_folder
+from igtl_gateway.record.sessionfile.whole_files import written_folder
 from tests.tables import table
 
 NAMES = [

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.base.errors import ConfigError, GatewayError, RecordingError, UnsupportedRecording
-from igtl_gateway.record.sessionfile.beside import check_target, is_unfinished, replaced, written, written_folder
 from igtl_gateway.record.sessionfile.new_file import create_file
+from igtl_gateway.record.sessionfile.whole_files import check_target, is_unfinished, replaced, written, written_folder
 from tests.places import ROOT
 
 
@@ -117,7 +117,7 @@ def test_a_recording_takes_the_place_when_it_has_begun(tmp_path: Path) -> None:
 def test_what_a_killed_program_left_is_removed_and_nothing_else(tmp_path: Path) -> None:
     program = (
         "import os, sys, pathlib\n"
-        "from igtl_gateway.record.sessionfile.beside import written\n"
+        "from igtl_gateway.record.sessionfile.whole_files import written\n"
         "with written(pathlib.Path(sys.argv[1])) as place:\n"
         "    place.write_bytes(b'half')\n"
         "    os.kill(os.getpid(), 9)\n"
