@@ -84,20 +84,6 @@ def test_the_first_offline_test(tmp_path: Path) -> None:
     assert result.returncode == 0, result.stdout + result.stderr
 
 
-def test_from_a_recording_to_numpy(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.chdir(ROOT)
-    for program in programs_in("how-to/numpy.md"):
-        exec(program, {})
-    assert capsys.readouterr().out.splitlines() == [
-        "(1200, 4, 4) mm",
-        "fastest: 143 mm/s",
-        "99",
-        "(1200, 4, 4) m",
-        "(1, 240, 320, 3) (240, 320, 3) uint8 (1.0, 1.0, 1.0) mm",
-        "(27197, 3) mm ['RGB']",
-    ]
-
-
 def test_an_addon_of_a_stranger(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from fnmatch import fnmatch
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from ruamel.yaml import YAML
 
 import igtl_gateway
 from tools import site
+
+CONFIGURATION = (site.ROOT / "mkdocs.yml").read_text("utf-8")
 
 
 @dataclass
@@ -102,11 +105,14 @@ def test_the_check_of_links_finds_a_missing_page_anchor_and_a_foreign_script(tmp
     assert broken(tmp_path) == ["a.html: b.html#gone", "a.html: c.html", "a.html loads https://x/y.js"]
 
 
-def test_every_page_has_a_place_in_the_navigation(tmp_path: Path) -> None:
-    staged = {page for page in site.stage(tmp_path) if page.endswith(".md") and not page.startswith("source/")}
-    navigation = (site.ROOT / "mkdocs.yml").read_text("utf-8").partition("\nnav:\n")[2]
-    listed = re.findall(r"\S+\.md$", navigation, re.MULTILINE)
-    assert sorted(listed) == sorted(staged)  # each once
+def test_every_page_has_a_place_in_the_navigation_or_is_for_readers_of_the_repository(tmp_path: Path) -> None:
+    staged = [page for page in site.stage(tmp_path) if page.endswith(".md")]
+    left_out = re.findall(r"^  (\S+)$", CONFIGURATION.partition("\nnot_in_nav: |\n")[2], re.MULTILINE)
+    listed = re.findall(r"\S+\.md$", CONFIGURATION.partition("\nnav:\n")[2], re.MULTILINE)
+    shown = [page for page in staged if not any(fnmatch(page, pattern) for pattern in left_out)]
+    assert sorted(listed) == sorted(shown)  # each once
+    assert all(any(fnmatch(page, pattern) for page in staged) for pattern in left_out)
+    assert not [page for page in listed if page.startswith(("evidence/", "adr/"))]
 
 
 def test_every_public_name_is_in_the_reference() -> None:
@@ -144,7 +150,7 @@ def levels(entries: list[Any]) -> Iterator[int]:
 
 
 def test_no_level_of_the_navigation_has_more_than_eight_entries() -> None:
-    text = "nav:\n" + (site.ROOT / "mkdocs.yml").read_text("utf-8").partition("\nnav:\n")[2]
+    text = "nav:\n" + CONFIGURATION.partition("\nnav:\n")[2]
     assert max(levels(YAML(typ="safe", pure=True).load(text)["nav"])) <= 8
 
 
@@ -168,7 +174,7 @@ addEventListener("load", async () => {
     field.dispatchEvent(new Event("input", { bubbles: true }));
     await new Promise((done) => setTimeout(done, 200));
   }
-  await wait((root) => root.querySelector("a[href*='verbs.html'][href$='#verify']"));
+  await wait((root) => root.querySelector("a[href*='command-line.html'][href$='#verify']"));
   document.title = `found ${field.value}`;
 });
 </script>

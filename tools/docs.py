@@ -951,20 +951,14 @@ def _section(section: str) -> str:
 
 
 def verbs() -> str:
-    """docs/reference/verbs.md."""
+    """The options of all verbs, a section for each."""
     known = available()
     # old spellings are those of the new verbs
     shown = {verb.now or name: verb for name, verb in known.items() if verb.now not in known}
     return document(
-        "# Options of all verbs",
-        GENERATED,
-        prose(
-            """`igtl-gateway VERB --help` prints the same in the terminal. [command-line.md](command-line.md) describes
-            what all verbs have in common, such as the exit codes."""
-        ),
         "\n".join(f"* [{name}](#{name.replace(' ', '-')}): {verb.help}" for name, verb in shown.items()),
         *(_verb(name, verb) for name, verb in shown.items()),
-    )
+    ).rstrip()
 
 
 def _verb(name: str, verb: Verb) -> str:
@@ -1327,8 +1321,8 @@ PARTS: dict[str, dict[str, Callable[[], str]]] = {
     "how-to/crtk.md": {"names": _crtk_names, "codes": _command_codes},
     "how-to/faults.md": {"faults": _faults},
     "how-to/metrics.md": {"metrics": _metrics},
-    "reference/command-line.md": {"extras": _extras},
-    "how-to/python-verbs.md": {"replay": _keywords_of_replay},
+    "reference/command-line.md": {"extras": _extras, "verbs": verbs},
+    "how-to/python.md": {"replay": _keywords_of_replay},
     "reference/formats.md": {"rules of PLUS": _rules_of_plus},
     "reference/limits.md": {"limits": _file_limits},
 }
@@ -1363,7 +1357,6 @@ PAGES: dict[str, Callable[[], str]] = {
     "reference/parameters.md": node_parameters,
     "reference/notes.md": notes,
     "reference/topics.md": topics,
-    "reference/verbs.md": verbs,
     **{page: partial(filled, page) for page in PARTS},
 }
 

@@ -1,4 +1,4 @@
-"""How often the review's 95 % interval holds the truth, on simulated cameras: the table of docs/how-to/review.md.
+"""How often the review's 95 % interval holds the truth, on simulated cameras: the table of docs/evidence/review.md.
 
     python tools/review_coverage.py --scenes 20 --points 6
 

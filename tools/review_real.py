@@ -1,4 +1,4 @@
-"""How `review` judges points with planted errors on clouds of real cameras: the table of docs/how-to/review.md.
+"""How `review` judges points with planted errors on clouds of real cameras: the table of docs/evidence/review.md.
 
     python tools/review_real.py --pcd frame1.pcd frame2.pcd frame3.pcd
     python tools/review_real.py --bag jsk_watercan.bag --camera left_camera_optical_frame

@@ -42,9 +42,8 @@ LANGUAGES = {".py": "python", ".toml": "toml", ".xml": "xml", ".yaml": "yaml", "
 #: The page of the Python API, which is written only for the site.
 API = "python-api.md"
 API_INTRODUCTION = (
-    "The names of `import igtl_gateway`, and what its functions return. There are introductions to "
-    "[recordings](how-to/python-recordings.md), [peers](how-to/python-peers.md), "
-    "and [bridge and verbs](how-to/python-verbs.md)."
+    "The names of `import igtl_gateway`, and what its functions return. [Python](how-to/python.md) is "
+    "the introduction to them."
 )
 #: Its groups, with the place of each name below ``igtl_gateway``.
 REFERENCE = {

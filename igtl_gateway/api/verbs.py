@@ -106,7 +106,7 @@ def replay_recording(
         stop: an event; the replay ends when it is set, also while it waits for peers.
         on_line: called with each line of text about what the replay does, from any of its threads.
         settings: name → value, the options of ``igtl-gateway replay``; ``help`` lists the names and defaults, and
-            ``docs/how-to/python-verbs.md`` what they do.  Addresses (``listen``, ``connect``) are pairs of host and
+            ``docs/how-to/python.md`` what they do.  Addresses (``listen``, ``connect``) are pairs of host and
             port, and ``rate=None`` is without pauses.
 
     Returns:

@@ -9,7 +9,7 @@ one.  The review compares every planned entry and exit point with the tissue aro
 * ``judge`` compares the figures with ``Thresholds``: the level is *ok*, *look* or *wrong*, with the reasons as text;
 * ``executed`` finds where the tool passed each planned point.
 
-Pure functions on arrays: no file, no clock, no LAPACK.  Formulae and limits: ``docs/how-to/review.md``.
+Pure functions on arrays: no file, no clock, no LAPACK.  Formulae and limits: ``docs/evidence/review.md``.
 
 The names load at their first use: the list of verbs imports this package, and needs none of them.
 """

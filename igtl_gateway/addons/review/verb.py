@@ -37,7 +37,7 @@ EXAMPLES = """\
   igtl-gateway review out.mcap --wrong-mm 0.8 --look-mm 0.4
 
 exit code 0: no stitch of the last plan is wrong; 1: some stitches are wrong.
-Method and formulae: docs/how-to/review.md"""
+Method and formulae: docs/evidence/review.md"""
 
 OPTIONS = (
     *rows_of(ReviewSelection),

@@ -59,7 +59,7 @@ def test_the_planted_stitches_are_wrong_and_no_others(seed: int, reviews: dict[i
 def test_the_distances_are_those_of_the_true_tissue(
     seed: int, reviews: dict[int, Review], stars: dict[int, star_scene.StarScene]
 ) -> None:
-    """docs/how-to/review.md: the distance is right to 0.25 mm, independent of the error of the stitches."""
+    """docs/evidence/review.md: the distance is right to 0.25 mm, independent of the error of the stitches."""
     star = stars[seed]
     for stitch, *truth in zip(reviews[seed].first.stitches, star.plan.entry, star.plan.exit, strict=True):
         for end, true in zip((stitch.entry, stitch.exit), truth, strict=True):
@@ -71,7 +71,7 @@ def test_the_distances_are_those_of_the_true_tissue(
 def test_the_noise_at_the_stitches_is_the_cameras(
     seed: int, reviews: dict[int, Review], scenes: dict[int, DepthScene], stars: dict[int, star_scene.StarScene]
 ) -> None:
-    """docs/how-to/review.md: within 20 %."""
+    """docs/evidence/review.md: within 20 %."""
     view = stars[seed].cloud_view
     truth = noise_sigma(view.depth, view.facing).reshape(-1)
     for stitch in reviews[seed].last.stitches:

@@ -64,7 +64,7 @@ def test_pixels_without_depth_have_no_noise() -> None:
 def test_the_scenes_noise_is_found_within_the_bounds_of_the_manual(
     seed: int, scenes: dict[int, DepthScene], stars: dict[int, star_scene.StarScene]
 ) -> None:
-    """docs/how-to/review.md: median ±5 %, in each 4 mm of depth ±10 %, four pixels of five within ±20 %; six clouds."""
+    """docs/evidence/review.md: median ±5 %, in 4 mm of depth ±10 %, four of five pixels within ±20 %; six clouds."""
     view = stars[seed].cloud_view
     truth = noise_sigma(view.depth, view.facing).reshape(-1)
     temporal = scenes[seed].temporal

@@ -45,7 +45,7 @@ def test_slant_is_one_over_the_cosine_to_the_ray() -> None:
 @pytest.mark.parametrize("shift", [-0.002, 0.002])
 @pytest.mark.parametrize("radius_mm", [0.8, 1.6, 2.0])
 def test_wrong_readings_in_the_centre_do_not_change_the_surface(shift: float, radius_mm: float) -> None:
-    """Up to half of the window, docs/how-to/review.md."""
+    """Up to half of the window, docs/evidence/review.md."""
     clouds = dome_clouds(8)
     middle = on_dome(2, 1)
     for cloud in clouds:
@@ -92,7 +92,7 @@ def test_too_few_points_have_no_surface() -> None:
 def test_the_true_plan_of_the_scene_is_on_the_fitted_tissue(
     seed: int, scenes: dict[int, DepthScene], stars: dict[int, star_scene.StarScene]
 ) -> None:
-    """docs/how-to/review.md: within 0.25 mm everywhere, 0.1 mm typically; with six clouds and the arm in front."""
+    """docs/evidence/review.md: within 0.25 mm everywhere, 0.1 mm typically; with six clouds and the arm in front."""
     plan = stars[seed].plan
     points = np.concatenate([plan.entry, plan.exit])
     off = np.array([_fit(scenes[seed], point).distance(point[None])[0] for point in points])

@@ -17,7 +17,7 @@ from tests.addons.sync.trajectories import staircase, strokes, trajectory
 from tests.addons.sync.worlds import irregular, stamps, world
 from tests.tables import table
 
-#: Random cases; the table in docs/how-to/sync.md is of 300.
+#: Random cases; the table in docs/evidence/sync.md is of 300.
 CASES = int(os.environ.get("SYNC_CASES", "6"))
 #: Trajectories of an instrument; with ``SYNC_TRAJECTORIES=68`` all of them, and with ``SYNC_SEED`` other ones.
 TRAJECTORIES = int(os.environ.get("SYNC_TRAJECTORIES", "3"))

@@ -224,7 +224,7 @@ def test_ros_hears_who_is_connected() -> None:
 
 
 def test_the_example_of_the_page_plays() -> None:
-    page = (ROOT / "docs" / "how-to" / "scenarios.md").read_text("utf-8")
+    page = (ROOT / "lab" / "README.md").read_text("utf-8")
     names: dict[str, Any] = {}
     exec(page.partition("```python\n")[2].partition("```")[0], names)
     cast = names["QUESTION"].cast()
