@@ -91,6 +91,7 @@ class Known:
         return (
             name in self.files
             or name in FOREIGN_FILES
+            or "NAME" in name  # any of its kind
             or name.startswith(tuple(f"{each}/" for each in FOREIGN_FOLDERS))
         )
 
