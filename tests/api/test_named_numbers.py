@@ -77,3 +77,10 @@ def test_a_value_that_is_no_number_is_not_replaced() -> None:
     result = completed(found, np.array([1, 2, 3]), "hold", NEVER)
     assert np.isnan(result[1, 0]) and np.isnan(result[2, 0]), "the last value is not finite"
     assert np.isnan(result[0, 1])
+
+
+def test_of_two_values_at_one_distance_the_earlier_one_counts() -> None:
+    found = found_in([["a"], ["b"], ["a"]], [[1.0], [7.0], [3.0]])
+    assert completed(found, np.array([10, 20, 30]), "nearest", 10)[1, 0] == 1.0
+    assert completed(found, np.array([10, 21, 30]), "nearest", 10)[1, 0] == 3.0
+    assert np.isnan(completed(found, np.array([10, 20, 30]), "nearest", 9)[1, 0])

@@ -118,6 +118,23 @@ def test_a_matrix_that_is_almost_orthonormal_is_projected_without_a_warning() ->
     assert message.rotation == pytest.approx((0, 0, 0, 1), abs=1e-12)
 
 
+@table(
+    ("rows", "warns"),
+    [
+        ([[1.0004, 0, 0], [0, 1, 0], [0, 0, 1]], False),  # RᵀR is off by 0.0008
+        ([[1.0006, 0, 0], [0, 1, 0], [0, 0, 1]], True),  # 0.0012
+        ([[1, 0, 0], [0, 0.9996, 0], [0, 0, 1]], False),
+        ([[1, 0, 0], [0, 1, 0], [0, 0, 0.9994]], True),
+        ([[1, 0.0009, 0], [0, 1, 0], [0, 0, 1]], False),  # shear
+        ([[1, 0, 0], [0, 1, 0.0011], [0, 0, 1]], True),
+    ],
+)
+def test_scale_and_shear_of_a_thousandth_are_noticed(rows: Rows, warns: bool) -> None:
+    to = to_ros()
+    transform_to_ros(transform(rows), to)
+    assert [code for code, _ in to.warnings] == ["not_a_rotation"] * warns
+
+
 @pytest.mark.parametrize(
     "rows",
     [

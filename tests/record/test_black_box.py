@@ -6,6 +6,7 @@ import os
 import signal
 from collections import deque
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -295,6 +296,34 @@ def test_a_mark_that_comes_late_has_the_window_of_its_moment(
     assert (row["missing"], row["at_ns"]) == (missing, samples.START_NS + round((5.0 - late_s) * NS))
     assert main(["info", str(path)]) == 0
     assert f"mark slip ({late_s:.1f} s before)" in capsys.readouterr().out
+
+
+@table(
+    ("after", "missing"),
+    [
+        (2.8, 0),  # the window is 3 s to 6 s
+        (2.9, 2),  # what is missing may have been at its begin
+        (4.0, 2),
+        (6.0, 2),  # ... or at its end
+        (6.1, 0),
+    ],
+)
+def test_a_gap_that_touches_the_window_is_in_its_row(after: float, missing: int, tmp_path: Path) -> None:
+    """Entries every 100 ms; two are missing behind the one at ``after``."""
+    entries, seq = list[Entry](), 0
+    for number in range(100):
+        seq += 1
+        entries.append(replace(samples.igtl(seq), stamp_ns=samples.START_NS + number * NS // 10))
+        if number == 50:
+            seq += 1
+            payload = (MarkNote("slip").note().pack(),)
+            entries.append(Entry(seq, entries[-1].stamp_ns, Kind.EDGE_NOTE, payload=payload))
+        seq += 2 * (number == round(after * 10))
+    _play(tmp_path / "box.mcap", entries, "mark=slip,before=2,after=1")
+    (path,) = tmp_path.glob("*.mcap")
+    with SessionFile.open(path) as file:
+        (row,) = file.ledger["triggers"] if file.ledger else []
+    assert row["missing"] == ("2 entries: the disk or the machine was too slow" if missing else "")
 
 
 def test_info_states_why_the_file_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -122,6 +122,19 @@ def test_what_was_recorded_stays_even_where_todays_gateway_says_otherwise(monkey
     assert {content(entry) for entry in before if entry.stamp_ns >= wanted.start_ns} <= set(map(content, after))
 
 
+@table(("size", "is_small"), [(4_096, True), (4_097, False)])
+def test_a_small_input_has_4_kib(size: int, is_small: bool) -> None:
+    """Of each stream the last input before the window is there, and the first one if it is small."""
+    inputs = [
+        Entry(number, 1_000 * number, Kind.ROS_IN, "/topic", "std_msgs/msg/String", (bytes(size),))
+        for number in range(1, 5)
+    ]
+    made, report = cut(inputs, Config(), SliceWindow(4_000, 5_000))
+    kept = [entry.stamp_ns for entry in made if entry.kind is Kind.ROS_IN]
+    assert kept == ([1_000] if is_small else []) + [3_000, 4_000]
+    assert report.depth is Depth.STATE
+
+
 def lost(entries: list[Entry], which: Callable[[Entry], bool]) -> list[Entry]:
     index = next(index for index, entry in enumerate(entries) if which(entry))
     return [*entries[:index], *entries[index + 1 :]]

@@ -87,6 +87,28 @@ def test_a_step_that_is_none_is_no_time(tmp_path: Path) -> None:
     assert any("the frames have no times" in note for note in Sequence(path).notes)
 
 
+@table(
+    ("unit", "step_s"),
+    [("s", 1.0), ("sec", 1.0), ("seconds", 1.0), ("ms", 1e-3), ("msec", 1e-3), ("us", 1e-6), ("MSEC", 1e-3), ("", 0.0)],
+)
+def test_each_unit_of_times(tmp_path: Path, unit: str, step_s: float) -> None:
+    lines = (
+        "type: uchar",
+        "dimension: 4",
+        "sizes: 2 3 1 4",
+        "kinds: domain domain domain list",
+        "axis 3 index type:=numeric",
+    )
+    times = ("axis 3 index values:=0 1000 3000 4000", f"axis 3 index unit:={unit}")
+    path = nrrd(tmp_path / "some.nrrd", bytes(24), *lines, *times)
+    with closing(Sequence(path)) as source:
+        found = [item.time_ns - DEFAULT_EPOCH_NS for item in source.items() if item.kind is Kind.IGTL_IN]
+        if step_s:
+            assert found == [round(each * step_s * 1e9) for each in (0, 1000, 3000, 4000)]
+        else:
+            assert any("are not times" in note for note in source.notes)
+
+
 def test_no_place_at_all_is_noted(tmp_path: Path) -> None:
     path = nrrd(tmp_path / "some.nrrd", bytes(24), *VOLUME)
     assert images_of(path)[0].wire_matrix == Image.IDENTITY

@@ -281,6 +281,17 @@ def test_a_lag_that_jumps() -> None:
     assert np.median(late) - np.median(early) == pytest.approx(0.05, abs=0.005)
 
 
+@table(("step_ms", "verdict"), [(2, Verdict.MEASURED), (4, Verdict.VARIES)])
+def test_a_lag_that_varies_by_two_milliseconds(step_ms: int, verdict: Verdict) -> None:
+    """Later in the middle half, so without a trend; the noise alone spreads the windows by 1.3 ms."""
+    fixed, moving = pair(lambda at: np.sin(at) + np.sin(1.7 * at + 1) + np.sin(at * at / 60), seconds=60)
+    since = np.abs(np.arange(len(moving.times_ns)) / len(moving.times_ns) - 0.5)
+    stepped = moving.times_ns + np.where(since < 0.25, step_ms * NS_PER_S // 1000, 0)
+    lag = measure_lag(fixed, Signal(stepped, moving.values))
+    assert lag.verdict is verdict
+    assert len(lag.windows) > 3
+
+
 def test_a_window_at_the_end_of_a_stream_is_no_other_lag() -> None:
     """There the filter has samples on one side only; a constant lag of 3.3 s was reported as 3.17 to 3.32 s."""
     random = np.random.default_rng(4)

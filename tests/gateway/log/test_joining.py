@@ -67,3 +67,10 @@ def test_a_stream_without_samples_has_nothing() -> None:
     for rule in rules:
         found = pick(times, wanted, rule)
         assert not found.good.any() and len(found.before) == len(found.share) == 2
+
+
+def test_of_two_samples_at_one_distance_the_earlier_one_counts() -> None:
+    times, wanted = arrays([100, 200], [149, 150, 151])
+    found = pick(times, wanted, "nearest", most_ns=50)
+    assert (found.before.tolist(), found.good.tolist()) == ([0, 0, 1], [True] * 3)
+    assert not pick(times, wanted, "nearest", most_ns=49).good[1]

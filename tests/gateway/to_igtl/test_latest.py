@@ -120,6 +120,24 @@ def test_latched_messages_and_the_newest_are_kept_whatever_their_size() -> None:
     assert "igtl IMAGE/picture v1 to 1" in script.igtl(Message("GET_IMAGE", "picture", EmptyQuery()))
 
 
+@pytest.mark.parametrize(("size", "stays"), [(64 << 10, True), ((64 << 10) + 1, False)])
+def test_messages_of_64_kib_are_kept_whatever_their_number(size: int, stays: bool) -> None:
+    """The poses and states of any number of robots are there for a query."""
+
+    def row(width: int) -> rosmsg.Image:
+        return rosmsg.Image(Header(1, "base"), 1, width, "mono8", 0, width, bytes(width))
+
+    message = row(size - len(row(0).pack()))
+    assert len(message.pack()) == size
+    script = Script(Config(keep_mib=1))
+    script.up(1)
+    for number in range(20):
+        script.ros(f"/igtl/out/p{number}", message)
+    looked(script)
+    sent = script.igtl(Message("GET_IMAGE", "p0", EmptyQuery()))
+    assert ("igtl IMAGE/p0 v1 to 1" in sent) is stays
+
+
 def with_three_latched(config: Config) -> Script:
     script = Script(config)
     for topic, side in (("plan", 300), ("scan", 1_100), ("mask", 900)):
