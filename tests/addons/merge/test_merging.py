@@ -131,6 +131,53 @@ def test_an_empty_recording(tmp_path: Path) -> None:
         assert list(part.entries()) == []
 
 
+def crossing(folder: Path, kinds: tuple[Kind, Kind], channels: tuple[str, str], size: int) -> list[Source]:
+    """Two recordings: what one sends, the other one receives a millisecond later."""
+    sources = []
+    for name, kind, channel, later_ns in zip("ab", kinds, channels, (0, 10**6), strict=True):
+        path = folder / f"{name}.mcap"
+        writer = SessionWriter(path, {}, overwrite=True)
+        for seq in range(1, 41):
+            stamp_ns, data = 1_700_000_000 * 10**9 + seq * 10**7 + later_ns, seq.to_bytes(4, "little") + bytes(size - 4)
+            kind_of_ros = "std_msgs/msg/String" if channel.startswith("/") else "STRING"
+            writer.write(Entry(seq, stamp_ns, kind, channel, kind_of_ros, (data,)))
+        writer.close({})
+        sources.append(Source(name, path))
+    return sources
+
+
+ROS, IGTL = (Kind.ROS_OUT, Kind.ROS_IN), (Kind.IGTL_OUT, Kind.IGTL_IN)
+
+
+@table(
+    ("kinds", "channels", "size", "crosses"),
+    [
+        (ROS, ("/t", "/t"), 24, True),
+        (ROS, ("/t", "/t"), 23, False),  # such as an Empty or a Bool: equal by coincidence
+        (ROS, ("/t", "/there/t"), 24, True),  # in a namespace there ...
+        (ROS, ("/there/t", "/t"), 24, True),  # ... or here
+        (ROS, ("/t", "/other"), 24, False),
+        (IGTL, ("STRING/D", "STRING/D"), 59, True),
+        (IGTL, ("STRING/D", "STRING/D"), 58, False),  # a header alone
+        (IGTL, ("STRING/D", "STRING/ED"), 59, False),  # devices have no namespaces
+        ((Kind.ROS_OUT, Kind.IGTL_IN), ("/t", "STRING/t"), 59, False),
+        ((Kind.ROS_IN, Kind.ROS_IN), ("/t", "/t"), 24, False),  # a third program sent it to both
+    ],
+)
+def test_what_crosses(
+    kinds: tuple[Kind, Kind], channels: tuple[str, str], size: int, crosses: bool, tmp_path: Path
+) -> None:
+    sources, out = crossing(tmp_path, kinds, channels, size), tmp_path / "merged.mcap"
+    if not crosses:
+        with pytest.raises(GatewayError, match="b: found no message that crosses between it and a"):
+            merge(sources, out, given={})
+        return
+    facts = merge(sources, out, given={})
+    (row,) = facts["latencies"]
+    assert (row["from"], row["to"], row["stream"], row["received_as"]) == ("a", "b", *channels)
+    assert facts["parts"][1]["clock"]["method"] == "one_way"
+
+
 def test_refusals(tmp_path: Path) -> None:
     recordings = record(WORLD, tmp_path, 1)
     one, two = recordings.sources
