@@ -23,7 +23,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any
 
-from igtl_gateway.addon import NS_PER_S, ConfigError, Endpoint, Level, Qos, RosError, SystemClock, UnknownTypeError
+from igtl_gateway.addon import NS_PER_S, ConfigError, Level, Qos, RosError, SystemClock, UnknownTypeError
 from igtl_gateway.addons.zenoh.config import domain_of
 from igtl_gateway.addons.zenoh.connection import RETRY_NS, Connection
 from igtl_gateway.addons.zenoh.graph import Graph
@@ -39,10 +39,10 @@ from igtl_gateway.addons.zenoh.traffic import Traffic
 from igtl_gateway.convert.common_msgs import Log
 from igtl_gateway.edges.interface import (
     DEFAULT_LATCHED_MIB,
+    Halves,
     OnMessage,
     OnNote,
     PlainSide,
-    Publication,
     Reports,
     Wants,
 )
@@ -57,7 +57,7 @@ _GATHER_S = 0.01
 _LISTENED = 10_000
 
 
-class ZenohEdge(PlainSide):
+class ZenohEdge(Halves, PlainSide):
     """The gateway's node in the ROS graph, over Zenoh.  It needs no ROS.
 
     Args:
@@ -71,9 +71,6 @@ class ZenohEdge(PlainSide):
         site: name of this site; "": clocks and latencies of other sites are not measured.
         traffic: classes of streams and budget; None: all are sent as ROS does.
         latched_mib: bound of the latched messages of all topics.
-
-    Attributes:
-        publish, count_if_unsubscribed, has_subscriber, expect_orders, write: see `Publishing`.
     """
 
     def __init__(
@@ -130,11 +127,7 @@ class ZenohEdge(PlainSide):
             )
         self._calls = Calls(self._reports, self._clock)
         self._keeper = threading.Thread(target=self._keep, name="igtl-zenoh-keeper", daemon=True)
-        self.publish = self._publishing.publish
-        self.count_if_unsubscribed = self._publishing.count_if_unsubscribed
-        self.has_subscriber = self._publishing.has_subscriber
-        self.expect_orders = self._publishing.expect_orders
-        self.write = self._publishing.write
+        super().__init__(self._publishing, self._subscribing, self._graph)
 
     @staticmethod
     def check() -> None:
@@ -227,26 +220,6 @@ class ZenohEdge(PlainSide):
             self._reports.refuse("serve", name, type_name, error)
             return False
         return True
-
-    def advertise(self, topic: str, type_name: str, qos: Qos) -> None:
-        """Create the publisher early, so that subscribers find it before the first message."""
-        self._publishing.advertise(topic, type_name, qos)
-
-    def subscribe(self, topic: str, type_name: str, qos: Qos) -> bool:
-        """Subscribe now, before the first publisher; False (and a note) if that was not possible."""
-        return self._subscribing.subscribe(topic, type_name, qos)
-
-    def subscriptions(self) -> list[tuple[str, str]]:
-        """Topic and type of everything that we receive."""
-        return self._subscribing.topics()
-
-    def publications(self) -> list[Publication]:
-        """The topics that others publish."""
-        return self._graph.publications()
-
-    def endpoints(self) -> list[Endpoint]:
-        """Publishers and subscriptions of all other nodes."""
-        return self._graph.endpoints()
 
     def subscriber_count(self, topic: str) -> int:
         """The number of subscriptions of other nodes to a topic that we publish."""

@@ -25,10 +25,9 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 from igtl_gateway.base.errors import first_line
-from igtl_gateway.base.qos import Endpoint, Qos
 from igtl_gateway.config.setting import Value
 from igtl_gateway.config.settings import DEFAULT_LATCHED_MIB
-from igtl_gateway.edges.interface import Change, OnMessage, OnNote, Publication, Reports, Wants
+from igtl_gateway.edges.interface import Change, Halves, OnMessage, OnNote, Reports, Wants
 from igtl_gateway.edges.ros.direct import Rcl
 from igtl_gateway.edges.ros.graph import Graph
 from igtl_gateway.edges.ros.host import NodeHost
@@ -45,7 +44,7 @@ from igtl_gateway.native.passage import Publisher as NativePublisher
 from igtl_gateway.native.passage import Subscription as NativeSubscription
 
 
-class RosEdge:
+class RosEdge(Halves):
     """The gateway's node in the ROS graph.  It moves serialised messages, never message objects.
 
     Args:
@@ -62,10 +61,6 @@ class RosEdge:
         host: where the node is; default: a node of this edge only, by ``node_name`` and ``namespace``.
         passage: the native passage, whose streams the topics may have; None: there is none.
         latched_mib: bound of the latched messages of all topics.
-
-    Attributes:
-        publish, count_if_unsubscribed, has_subscriber, expect_orders, write: see `Publishing`.  They are its methods,
-            without a layer in between, because every message passes them.
     """
 
     def __init__(
@@ -94,11 +89,7 @@ class RosEdge:
         )
         self._subscribing = Subscribing(self._node, self._topics, self._graph, self._reports, self._callback)
         self._keeper = Keeper(self._node, self._publishing, self._subscribing, self._reports, wants)
-        self.publish = self._publishing.publish
-        self.count_if_unsubscribed = self._publishing.count_if_unsubscribed
-        self.has_subscriber = self._publishing.has_subscriber
-        self.expect_orders = self._publishing.expect_orders
-        self.write = self._publishing.write
+        super().__init__(self._publishing, self._subscribing, self._graph)
 
     @staticmethod
     def check() -> None:
@@ -167,32 +158,6 @@ class RosEdge:
             Whether that was possible; if not, a note reports why.
         """
         return self._node.serve(name, type_name, answer)
-
-    def advertise(self, topic: str, type_name: str, qos: Qos) -> None:
-        """Create the publisher early, so that subscribers find it before the first message."""
-        self._publishing.advertise(topic, type_name, qos)
-
-    def subscribe(self, topic: str, type_name: str, qos: Qos) -> bool:
-        """Subscribe now, before the first publisher: one that comes later waits for us with its first message.
-
-        Without that, topics are subscribed to when they are found, see ``wants``.
-
-        Returns:
-            Whether that was possible; if not, a note reports why.
-        """
-        return self._subscribing.subscribe(topic, type_name, qos)
-
-    def subscriptions(self) -> list[tuple[str, str]]:
-        """Topic and type of everything that we receive."""
-        return self._subscribing.topics()
-
-    def publications(self) -> list[Publication]:
-        """The topics that others publish, as far as discovery has come."""
-        return self._graph.publications()
-
-    def endpoints(self) -> list[Endpoint]:
-        """Publishers and subscriptions of all topics, as far as discovery has come; without those of our own node."""
-        return self._graph.endpoints()
 
     def subscriber_count(self, topic: str) -> int:
         """The number of subscriptions that our publisher of this topic is matched with, without our own."""
