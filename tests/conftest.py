@@ -20,7 +20,9 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from igtl_gateway.base.untrusted.limits import FileLimits, limits_in_force
 from tests import domains
+from tests.timing import MOST_READING_S
 
 _ros_log_dir = tempfile.mkdtemp(prefix="igtl-gateway-ros-log-")
 # Not a fixture: child processes of the last tests may still write there.
@@ -225,6 +227,13 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     """A crashed worker makes the run invalid; that is not the same as a failed test, which might pass alone."""
     if _deaths:
         session.exitstatus = pytest.ExitCode.INTERNAL_ERROR
+
+
+@pytest.fixture(autouse=True)
+def patient_limits() -> Iterator[None]:
+    """Reading a file may take longer than for users: beside four other tests a limit of 20 s hid what was wrong."""
+    with limits_in_force(FileLimits(seconds=MOST_READING_S)):
+        yield
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import time
 import zlib
 from contextlib import closing
 from pathlib import Path
@@ -15,6 +14,7 @@ from igtl_gateway.addons.exchange.formats import open_source
 from igtl_gateway.base.errors import GatewayError, LimitExceeded
 from igtl_gateway.base.untrusted import limits
 from tests.integration.hostile_files.images import mha, nifti, nrrd
+from tests.timing import quick
 
 CASES = 700
 SEEDS = {
@@ -68,15 +68,13 @@ def test_bent_headers_end_in_our_errors(tmp_path: Path, name: str) -> None:
     ends = {True: 0, False: 0}
     for _ in range(CASES // len(SEEDS)):
         path.write_bytes(data := bent(random, SEEDS[name]))
-        started = time.process_time()
         try:
-            with closing(open_source(path)) as source:
+            with quick(), closing(open_source(path)) as source:
                 assert all(item.payload for item in source.items())
             ends[True] += 1
         except GatewayError as error:
             assert "Error: " not in str(error), data  # what a library raised, instead of what is wrong
             ends[False] += 1
-        assert time.process_time() - started < 1.0, data
     assert ends[False] > 10
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 import struct
-import time
 import tracemalloc
 from collections.abc import Callable
 from contextlib import closing
@@ -24,6 +23,7 @@ from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import String
 from tests.files import CAPTURES, write_anew
 from tests.tables import table
+from tests.timing import quick
 
 FIN, SYN, RST, ACK = 1, 2, 4, 16
 CLIENT, SERVER = ("10.0.0.1", 50_000), ("10.0.0.2", 18_944)
@@ -279,9 +279,8 @@ def client(number: int) -> End:
 def test_very_many_connections_are_followed_within_bounds(tmp_path: Path) -> None:
     scan = [Talk(client(number)).open() for number in range(4_000)]
     path = talks(tmp_path / "some.pcap", [Talk().open().say(message("first")), *scan])
-    start = time.process_time()
     tracemalloc.start()
-    with closing(Pcap(path)) as source:
+    with quick(), closing(Pcap(path)) as source:
         items = list(source.items())
         rows, notes = source.rows, source.notes
     peak = tracemalloc.get_traced_memory()[1]
@@ -291,7 +290,6 @@ def test_very_many_connections_are_followed_within_bounds(tmp_path: Path) -> Non
     assert notes[0].startswith(f"{4_001 - MAX_OPEN} connections were closed early: at most {MAX_OPEN} are followed")
     assert all(row.good for row in rows)
     assert peak < 100 << 20
-    assert time.process_time() - start < 30  # under tracemalloc
 
 
 def test_connections_without_a_row_of_their_own_are_counted(tmp_path: Path) -> None:
@@ -321,15 +319,13 @@ def test_gaps_without_end_cost_the_direction_that_holds_most(tmp_path: Path) -> 
     good.say(message("late")[:5])
     half = len(good.packets) // 2 + 1
     first, last = Talk(packets=good.packets[:half]), Talk(packets=good.packets[half:])
-    start = time.process_time()
-    with closing(Pcap(talks(tmp_path / "some.pcap", [first, greedy, last]))) as source:
+    with quick(), closing(Pcap(talks(tmp_path / "some.pcap", [first, greedy, last]))) as source:
         items = list(source.items())
         rows = {row.stream: row for row in source.rows}
     assert [bytes(item.payload) for item in items if item.kind is Kind.IGTL_IN] == [message("late")]
     row = next(row for name, row in rows.items() if name.startswith(f"{client(1)[0]}:{client(1)[1]}"))
     assert row.why == "too many bytes wait for a missing segment: given up after 0 bytes"
     assert not row.good
-    assert time.process_time() - start < 20
 
 
 def test_messages_that_begin_and_never_end_are_bounded(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bz2
 import struct
-import time
 from collections.abc import Callable
 from contextlib import closing
 from functools import cache
@@ -19,6 +18,7 @@ from igtl_gateway.addons.exchange.rosbag1_file import BagFile
 from igtl_gateway.base.errors import DamagedRecording, RecordingError
 from igtl_gateway.base.untrusted import limits
 from tests.foreign_bags import grid_map, humanoid, turtles
+from tests.timing import quick
 
 MIB = 1 << 20
 PACK: dict[str, Callable[[bytes], bytes]] = {
@@ -97,10 +97,12 @@ def test_what_rosbags_writes_is_read_alike(tmp_path: Path) -> None:
 def test_bombs_are_refused_before_they_are_unpacked(tmp_path: Path, how: str, lie: int | None) -> None:
     path = bag(tmp_path / "x.bag", [(chunk(bytes(100 * MIB), how, lie), 1, 1)])
     assert path.stat().st_size < 4 * MIB
-    start = time.process_time()
-    with closing(BagFile(path)) as file, pytest.raises(DamagedRecording, match=r"chunk 1 of 1 at byte \d+: .*found"):
+    with (
+        quick(),
+        closing(BagFile(path)) as file,
+        pytest.raises(DamagedRecording, match=r"chunk 1 of 1 at byte \d+: .*found"),
+    ):
         list(file.messages())
-    assert time.process_time() - start < 5
 
 
 def test_an_index_that_repeats_chunks_is_refused(tmp_path: Path) -> None:
@@ -111,10 +113,8 @@ def test_an_index_that_repeats_chunks_is_refused(tmp_path: Path) -> None:
 
 def test_a_chunk_of_very_many_empty_records(tmp_path: Path) -> None:
     path = bag(tmp_path / "x.bag", [(chunk(bytes(60 * MIB), "lz4"), 1, 1)])
-    start = time.process_time()
-    with closing(BagFile(path)) as file, pytest.raises(DamagedRecording, match="records: found 200001"):
+    with quick(), closing(BagFile(path)) as file, pytest.raises(DamagedRecording, match="records: found 200001"):
         list(file.messages())
-    assert time.process_time() - start < 5
 
 
 def test_a_chunk_of_very_many_messages(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from tests.tables import table
+from tests.timing import quick
 
 STRING = "std_msgs/msg/String"
 ROS2 = get_typestore(Stores.ROS2_JAZZY)
@@ -114,10 +114,8 @@ def test_hostile_definitions_cost_their_own_messages(tmp_path: Path, name: str, 
         for number, channel in enumerate((bad, good, bad, good), 1):
             writer.add_message(channel, number, SAID, number)
         writer.finish()  # type: ignore[no-untyped-call]
-    start = time.process_time()
-    with SessionFile.open(tmp_path / "foreign.mcap") as file:
+    with quick(), SessionFile.open(tmp_path / "foreign.mcap") as file:
         account = export_to(to, file, tmp_path / "out", ())
-    assert time.process_time() - start < 5
     rows = {row.stream: row for row in account.rows}
     assert (rows["/said"].declared, rows["/said"].taken) == (2, 2)
     assert rows["/bad"].declared == 2 == rows["/bad"].taken + rows["/bad"].left_out

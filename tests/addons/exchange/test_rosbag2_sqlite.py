@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sqlite3
 import sys
-import time
 import tracemalloc
 from collections import Counter
 from contextlib import closing
@@ -17,6 +16,7 @@ from igtl_gateway.addons.exchange.rosbag2_sqlite import NO_TIME, Message, Sqlite
 from igtl_gateway.base.errors import DamagedRecording, LimitExceeded, RecordingError
 from igtl_gateway.record.sessionfile.definition import FileDefinitions
 from tests.tables import table
+from tests.timing import quick
 
 STRING = "std_msgs/msg/String"
 CDR = b"\0\1\0\0\4\0\0\0abc\0"
@@ -64,11 +64,10 @@ HOSTILE = {
 
 @table(("statements", "reason"), HOSTILE.values(), ids=HOSTILE)
 def test_hostile_files_are_refused_at_once(tmp_path: Path, statements: tuple[str, ...], reason: str) -> None:
-    path, start = made(tmp_path / "x.db3", *statements), time.monotonic()
-    with pytest.raises(DamagedRecording, match=reason) as found:
+    path = made(tmp_path / "x.db3", *statements)
+    with quick(), pytest.raises(DamagedRecording, match=reason) as found:
         read(path)
     assert str(path) in str(found.value)
-    assert time.monotonic() - start < 5
 
 
 def test_triggers_and_other_views_are_never_run(tmp_path: Path) -> None:
@@ -124,11 +123,9 @@ def test_pages_that_are_used_many_times_make_no_work(tmp_path: Path) -> None:
 
     shared(root)
     path.write_bytes(b"".join(pages))
-    start = time.monotonic()
-    with pytest.raises(RecordingError) as found:
+    with quick(), pytest.raises(RecordingError) as found:
         read(path)
     assert isinstance(found.value, DamagedRecording | LimitExceeded)
-    assert time.monotonic() - start < 5
 
 
 def test_a_file_that_is_cut_off_says_so(tmp_path: Path) -> None:

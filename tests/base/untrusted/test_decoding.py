@@ -5,7 +5,6 @@ from __future__ import annotations
 import builtins
 import contextlib
 import struct
-import time
 import tracemalloc
 
 import numpy as np
@@ -18,6 +17,7 @@ from igtl_gateway.base.untrusted import limits
 from igtl_gateway.base.untrusted.decoding import MessageDecoder, new_store, register_types
 from igtl_gateway.base.untrusted.definitions import parse_definition
 from tests.tables import table
+from tests.timing import quick
 
 RULE = "=" * 80 + "\n"
 MANY = f"p/E[] e\n{RULE}MSG: p/E\n"
@@ -76,14 +76,12 @@ def test_a_message_of_many_objects_is_refused_before_it_is_decoded(text: str, da
     if not order:
         data = struct.pack(">I", struct.unpack_from("<I", data)[0]) + data[4:]
     one = decoder(text)
-    start = time.monotonic()
     tracemalloc.start()
-    with pytest.raises(LimitExceeded, match=r"a message of p/msg/A: found more than 200000 elements"):
+    with quick(), pytest.raises(LimitExceeded, match=r"a message of p/msg/A: found more than 200000 elements"):
         one.decode("p/msg/A", bytes((0, order, 0, 0)) + data)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 50 << 20
-    assert time.monotonic() - start < 5
 
 
 def test_large_messages_of_few_objects_are_decoded() -> None:

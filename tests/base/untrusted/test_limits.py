@@ -37,7 +37,8 @@ def test_what_unpacks_to_too_much() -> None:
 
 
 def test_parse_replaces_what_is_named() -> None:
-    assert limits.parse_limits(["memory=5", "depth=6", "memory=7"]) == FileLimits(memory=7, depth=6)
+    with limits.limits_in_force(FileLimits()):
+        assert limits.parse_limits(["memory=5", "depth=6", "memory=7"]) == FileLimits(memory=7, depth=6)
     assert limits.parse_limits([]) == limits.current_limits()
 
 
