@@ -143,14 +143,14 @@ def _of_node(node: ast.AST) -> Iterator[tuple[str, str]]:
             for at, operator in enumerate(node.ops):
                 ops = [*node.ops[:at], _COMPARED[type(operator)](), *node.ops[at + 1 :]]
                 yield ast.unparse(ast.Compare(node.left, ops, node.comparators)), "comparison"
-        case ast.Constant(value=bool()):
-            yield str(not node.value), "truth"
-        case ast.Constant(value=int()):
-            yield str(node.value + 1), "number + 1"
-            if node.value > 1:
-                yield str(node.value - 1), "number - 1"
-        case ast.Constant(value=float()):
-            yield repr(node.value * 2 or 1.0), "number × 2"
+        case ast.Constant(value=bool() as truth):
+            yield str(not truth), "truth"
+        case ast.Constant(value=int() as number):
+            yield str(number + 1), "number + 1"
+            if number > 1:
+                yield str(number - 1), "number - 1"
+        case ast.Constant(value=float() as real):
+            yield repr(real * 2 or 1.0), "number × 2"
         case ast.BoolOp():
             yield (
                 ast.unparse(ast.BoolOp(ast.Or() if isinstance(node.op, ast.And) else ast.And(), node.values)),
@@ -165,7 +165,7 @@ def _of_node(node: ast.AST) -> Iterator[tuple[str, str]]:
             yield "pass", "removed statement"
         case ast.Assign(targets=[ast.Attribute() | ast.Subscript()]) | ast.Continue() | ast.Break():
             yield "pass", "removed statement"
-        case ast.Return(value=ast.expr()) if ast.unparse(node.value) != "None":
+        case ast.Return(value=ast.expr() as value) if ast.unparse(value) != "None":
             yield "return None", "return None"
 
 
@@ -297,7 +297,7 @@ def tests_of(mutant: Mutant, known: dict[str, Any]) -> list[str]:
     is_same = part["sources"].get(mutant.path) == _digest(ROOT / PACKAGE / mutant.path)
     ids = set(lines.get(str(mutant.line), ()) if is_same else ()) or {one for each in lines.values() for one in each}
     own = mirrored(mutant.path)
-    chosen, total = [], 0.0
+    chosen, total = list[str](), 0.0
     for one in sorted(ids, key=lambda each: (not each.startswith(own), part["seconds"][each])):
         total += part["seconds"][one]
         if chosen and total > MOST_TESTS_S:

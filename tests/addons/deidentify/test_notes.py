@@ -29,7 +29,7 @@ def address(text: str, prefix: str) -> str:
 
 
 #: Facts of a note → what stays of them.
-FACTS = {
+FACTS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "peer": ({"peer": f"{NAME}:18944"}, {"peer": address(f"{NAME}:18944", "peer")}),
     "host": ({"local": f"{NAME}:18944"}, {"local": address(f"{NAME}:18944", "host")}),
     "role": ({"role": "client"}, {"role": "client"}),

@@ -201,7 +201,7 @@ def test_what_follows_a_row_of_a_picture_is_zero(padding: int) -> None:
 
 
 #: Fields of a picture that do not fit each other → the rule.
-PICTURES = {
+PICTURES: dict[str, tuple[dict[str, Any], str]] = {
     "short rows": ({"step": 3, "data": np.zeros(6, np.uint8)}, "damaged"),
     "too little": ({"data": np.zeros(7, np.uint8)}, "damaged"),
     "unknown encoding": ({"encoding": NAME}, "pixels"),
@@ -211,7 +211,7 @@ PICTURES = {
 @table("name", PICTURES)
 def test_a_picture_that_is_none_is_removed(name: str) -> None:
     fields, rule = PICTURES[name]
-    good = {"height": 2, "width": 4, "step": 4, "encoding": "mono8", "data": np.zeros(8, np.uint8)}
+    good: dict[str, Any] = {"height": 2, "width": 4, "step": 4, "encoding": "mono8", "data": np.zeros(8, np.uint8)}
     cleaned("sensor_msgs/msg/Image", empty("sensor_msgs/msg/Image", **good))
     with pytest.raises(Removed, match=f"^{rule}$"):
         cleaned("sensor_msgs/msg/Image", empty("sensor_msgs/msg/Image", **(good | fields)))
