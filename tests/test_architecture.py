@@ -11,10 +11,14 @@ import re
 import sys
 from collections.abc import Iterator
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from igtl_gateway import addon
+from igtl_gateway.addon.loading import home_of
 from tests.conftest import LONGEST
 from tests.tables import table
 
@@ -69,20 +73,14 @@ LEVELS = {
     "lab.bench.__main__": 11,
 }
 
-#: Add-on → modules of the core that it imports; these numbers only fall.
-MOST_OF_CORE = {
-    "cohort": 9,
-    "deidentify": 12,
-    "exchange": 13,
-    "lerobot": 6,
-    "merge": 11,
-    "page": 23,
-    "resim": 9,
-    "review": 7,
-    "sync": 4,
-    "upload": 6,
-    "view": 14,
-    "zenoh": 8,
+#: What an add-on reaches the core by, beside the package itself.
+DOOR = "addon"
+#: Add-on → modules of other add-ons that it uses where they are installed; below ``addons``.
+NEIGHBOURS = {
+    "cohort": ("review", "review.recorded", "sync.lag", "sync.lags"),
+    "lerobot": ("sync.lag", "sync.lags", "sync.signal"),
+    "merge": ("sync.lag", "sync.lags", "sync.verb"),
+    "view": ("review", "sync.curves", "sync.lag", "sync.lags", "sync.signal", "sync.verb"),
 }
 
 #: Programs that play foreign software: of our modules they may use only their own, of outside libraries any.
@@ -401,7 +399,7 @@ def violations(module: str, source: str, *, is_package: bool = False) -> list[st
 def _import_fault(module: str, unit: str, name: str) -> str | None:
     """Why ``module`` may not import ``name``, or None."""
     if (imported := ours(name)) is not None:
-        return _level_fault(unit, imported)
+        return _level_fault(unit, imported) or _door_fault(module, imported)
     library = name.partition(".")[0]
     if name == "?":
         return None if module == TOP or _is_home(module, DYNAMIC_IMPORTERS) else "imports a module chosen at run time"
@@ -431,6 +429,26 @@ def _level_fault(unit: str, imported: str) -> str | None:
     if LEVELS[other] == LEVELS[unit] and lies_in(unit, other):
         return None
     return f"imports {other} (level {LEVELS[other]}), itself {unit or PACKAGE} (level {LEVELS[unit]})"
+
+
+def _door_fault(module: str, imported: str) -> str | None:
+    """Why a module of an add-on may not import that own module, or None."""
+    place, _, rest = module.partition(".")
+    if place != "addons" or not rest or lies_in(imported, DOOR) or unit_of(imported) is None:
+        return None
+    own = rest.partition(".")[0]
+    if not lies_in(imported, "addons"):
+        return f"imports {imported}, past the door of add-ons: igtl_gateway.{DOOR}"
+    other = next(name for name in _and_above(imported) if name in MODULES).removeprefix("addons.")
+    known = other.partition(".")[0] == own or other in NEIGHBOURS.get(own, ())
+    return None if known else f"imports {other}, which the table of neighbours does not have"
+
+
+def _and_above(name: str) -> Iterator[str]:
+    """A dotted name, and all that it lies in."""
+    while name:
+        yield name
+        name = name.rpartition(".")[0]
 
 
 def _is_home(module: str, homes: tuple[str, ...]) -> bool:
@@ -567,27 +585,64 @@ def test_a_level_is_one_above_what_its_folder_imports() -> None:
     assert {folder: level(folder) for folder in imported} == {folder: LEVELS[folder] for folder in imported}
 
 
-def test_addons_stand_on_few_modules() -> None:
-    """``addon`` has what several need; the other modules here are of one purpose, such as the table of conversions."""
-    core: dict[str, set[str]] = {name: set() for name in MOST_OF_CORE}
+def test_addons_use_the_neighbours_that_the_table_names() -> None:
+    used: dict[str, set[str]] = {}
     for module, others in imported_modules().items():
-        if module.count(".") > 1 and lies_in(module, "addons"):
-            core[module.split(".")[1]] |= {other for other in others if not lies_in(other, "addons") and other != TOP}
-    assert {name: len(found) for name, found in core.items()} == MOST_OF_CORE
+        if lies_in(module, "addons") and module.count(".") > 1:
+            own = module.split(".")[1]
+            found = {other for other in others if lies_in(other, "addons") and not lies_in(other, f"addons.{own}")}
+            used.setdefault(own, set()).update(other.removeprefix("addons.") for other in found)
+    assert {own: tuple(sorted(found)) for own, found in used.items() if found} == NEIGHBOURS
 
 
-def test_the_surface_for_addons_loads_what_it_names() -> None:
-    tree = ast.parse(Path(addon.__file__).read_text())
-    named = {
-        alias.asname: f"igtl_gateway.{module}"
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("igtl_gateway.")
+#: The groups of the door that load their names at first use, and the door itself.
+LAZY = [DOOR, *(f"{DOOR}.{group}" for group in addon.GROUPS)]
+
+
+def test_the_groups_of_the_door_are_its_modules() -> None:
+    own = {name for name in MODULES if lies_in(name, DOOR)}
+    assert own == {*LAZY, *(f"{DOOR}.{name}" for name in ("igtl", "ros", "loading"))}
+
+
+@pytest.mark.parametrize("group", LAZY)
+def test_a_group_of_the_door_has_what_it_names(group: str) -> None:
+    """A type checker sees the imports, a program the table: both have the same names, each from one group."""
+    module = import_module(f"{PACKAGE}.{group}")
+    seen = {
+        alias.asname: (node.module.removeprefix(f"{PACKAGE}."), alias.name)
+        for node in ast.walk(parsed(MODULES[group].read_text("utf-8")))
+        if isinstance(node, ast.ImportFrom) and node.module and not lies_in(node.module, f"{PACKAGE}.{DOOR}")
         for alias in node.names
-        for module in [node.module.removeprefix("igtl_gateway.")]
+        if alias.asname
     }
-    homes = {name: f"igtl_gateway.{module}" for module, names in addon.HOMES for name in names.split()}
-    assert named == homes
-    assert [name for name in homes if not hasattr(addon, name)] == []
+    assert home_of(module.HOMES) == seen
+    assert [name for name in seen if not hasattr(module, name)] == []
+    assert seen.keys() <= set(dir(module))
+
+
+def test_who_comes_through_the_door_finds_the_names() -> None:
+    names = {f"{PACKAGE}.{group}": import_module(f"{PACKAGE}.{group}") for group in LAZY}
+    missing = [
+        f"{path}:{node.lineno}: {node.module}.{alias.name}"
+        for folder in ("igtl_gateway", "lab", "tests", "tools", "examples")
+        for path in (ROOT / folder).rglob("*.py")
+        if f"from {PACKAGE}.{DOOR}" in (text := path.read_text("utf-8"))
+        for node in ast.walk(parsed(text))
+        if isinstance(node, ast.ImportFrom) and node.module in names
+        for alias in node.names
+        if alias.name not in {*home_of(names[node.module].HOMES), *addon.GROUPS, "igtl", "ros"}
+    ]
+    assert missing == []
+
+
+def test_a_name_of_the_door_is_in_one_group() -> None:
+    names = [name for group in LAZY for name in home_of(import_module(f"{PACKAGE}.{group}").HOMES)]
+    assert len(names) == len(set(names)) and not set(names) & set(addon.GROUPS)
+
+
+def test_a_name_that_the_door_does_not_have_is_an_error_of_attributes() -> None:
+    with pytest.raises(AttributeError, match=r"'igtl_gateway\.addon\.reading' has no attribute 'SessionWriter'"):
+        import_module(f"{PACKAGE}.{DOOR}.reading").SessionWriter  # noqa: B018
 
 
 def mirrored(test: Path) -> bool:
@@ -630,6 +685,12 @@ def test_tests_mirror_the_package() -> None:
         ("__main__", "from igtl_gateway.cli import main"),
         ("lab.demo.ros_node", "import rclpy, time\nfrom igtl_gateway_lab.demo import pattern\nprint(time.time())"),
         ("base.stamp", "from datetime import datetime, timezone\ndatetime.fromtimestamp(0, timezone.utc)"),
+        (
+            "addons.page.live",
+            "from igtl_gateway import __version__, open\nfrom igtl_gateway.addon import NS_PER_S, ros",
+        ),
+        ("addons.page.live", "from igtl_gateway.addon.live import Bridge\nfrom igtl_gateway.addons.page import now"),
+        ("addons.view.verb", "from igtl_gateway.addons.sync.lag import Lag\nfrom .pen import Pen"),
     ],
 )
 def test_what_is_allowed(module: str, source: str) -> None:
@@ -675,6 +736,14 @@ def test_what_is_allowed(module: str, source: str) -> None:
         # The core does without its add-ons
         ("app.hub", "from igtl_gateway.addons.view import live", "imports addons (level 11)"),
         ("cli.info", "from igtl_gateway.addons import merge", "imports addons (level 11)"),
+        # Add-ons have one door
+        ("addons.page.live", "from igtl_gateway.app.bridge import Bridge", "past the door of add-ons"),
+        ("addons.page.live", "from igtl_gateway import api", "imports api, past the door of add-ons"),
+        ("addons.page.live", "import igtl_gateway.base.qos", "imports base.qos, past the door of add-ons"),
+        ("addons.page.live", "from ...base import qos", "imports base.qos, past the door of add-ons"),
+        ("addons.page.live", "def f():\n    from igtl_gateway.wire import decode", "past the door of add-ons"),
+        ("addons.sync.lag", "from igtl_gateway.addons.view import pen", "imports view.pen, which"),
+        ("addons.view.verb", "from igtl_gateway.addons.sync.search import found", "imports sync.search, which"),
         # Wherever it is written
         ("wire.message", "def f():\n    import igtl_gateway.gateway", "wire.message:2: imports gateway"),
         ("wire.message", "if TYPE_CHECKING:\n    from igtl_gateway.app import App", "wire.message:2: imports app"),

@@ -105,4 +105,4 @@ def test_an_addon_of_a_stranger(
     assert cli.main(["count", star, "/star/none", "-o", str(tmp_path / "none.csv")]) == 1
     assert "found no stream '/star/none'" in capsys.readouterr().err
     text = (folder / "igtl_gateway_count.py").read_text("utf-8")
-    assert set(re.findall(r"^from (igtl_gateway\S*) import", text, re.MULTILINE)) == {"igtl_gateway.addon"}
+    assert set(re.findall(r"^from (igtl_gateway(?:\.\w+)?)\S* import", text, re.MULTILINE)) == {"igtl_gateway.addon"}

@@ -7,20 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from igtl_gateway.addon import (
-    NS_PER_S,
-    GatewayError,
-    Verb,
-    add_file,
-    add_overwrite,
-    check_target,
-    count_text,
-    open_recording,
-    output_file,
-    print_line,
-    write_text,
-    written,
-)
+from igtl_gateway.addon import NS_PER_S, GatewayError
+from igtl_gateway.addon.reading import open_recording
+from igtl_gateway.addon.terminal import Verb, add_file, add_overwrite, count_text, output_file, print_line
+from igtl_gateway.addon.writing import check_target, write_text, written
 
 #: What the entry point names: the verb is that of this module, and --file-mode is for its output.
 VERB = Verb("count the messages of a stream in each second", __name__, writes_files=True)

@@ -1,4 +1,7 @@
-"""ROS 2 messages, for add-ons: a class for each type, with ``TYPE``, ``pack`` (to CDR) and ``unpack``."""
+"""ROS 2 messages, for add-ons: a class for each type, with ``TYPE``, ``pack`` (to CDR) and ``unpack``.
+
+New classes are made of ``Struct`` and its kinds of fields.
+"""
 
 from __future__ import annotations
 
@@ -29,12 +32,17 @@ from igtl_gateway.convert.igtl_msgs import (
     ImageMetaList,
     LabelMetaList,
     LinkStatusList,
+    MarkRequest,
+    MarkResponse,
     Metadata,
+    MetadataItem,
     NdArray,
     PointList,
     PolyData,
     Query,
     RawMessage,
+    SendCommandRequest,
+    SendCommandResponse,
     Sensor,
     TrackingData,
     TrajectoryList,
@@ -42,6 +50,7 @@ from igtl_gateway.convert.igtl_msgs import (
     VideoMetaList,
     Volume,
 )
+from igtl_gateway.convert.multi_arrays import MultiArray
 from igtl_gateway.convert.rosmsg import (
     POINT_FIELD_DTYPES,
     DiagnosticStatus,
@@ -55,9 +64,15 @@ from igtl_gateway.convert.rosmsg import (
     String,
     TransformStamped,
 )
+from igtl_gateway.convert.structs import BOOL, FLOAT64, HEADER, STRING, UINT8, Struct, sequence_of
 
 __all__ = [
+    "BOOL",
+    "FLOAT64",
+    "HEADER",
     "POINT_FIELD_DTYPES",
+    "STRING",
+    "UINT8",
     "Bind",
     "CameraInfo",
     "Capability",
@@ -78,9 +93,13 @@ __all__ = [
     "LabelMetaList",
     "LinkStatusList",
     "Log",
+    "MarkRequest",
+    "MarkResponse",
     "Marker",
     "Mesh",
     "Metadata",
+    "MetadataItem",
+    "MultiArray",
     "NdArray",
     "OperatingState",
     "PointCloud2",
@@ -92,9 +111,12 @@ __all__ = [
     "Query",
     "RawMessage",
     "RosMessage",
+    "SendCommandRequest",
+    "SendCommandResponse",
     "Sensor",
     "String",
     "StringStamped",
+    "Struct",
     "TFMessage",
     "TrackingData",
     "TrajectoryList",
@@ -104,4 +126,5 @@ __all__ = [
     "VideoMetaList",
     "Volume",
     "WrenchStamped",
+    "sequence_of",
 ]

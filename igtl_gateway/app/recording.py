@@ -231,6 +231,12 @@ def _outcome(done: Future[Path], words: str, timeout_s: float) -> tuple[bool, st
         return False, str(error)
 
 
+#: What can be done with a recording, for people who press it.
+ACTIONS: dict[str, Callable[[Recorder], tuple[bool, str]]] = {
+    "start": start, "stop": stop, "pause": pause, "resume": resume, "snapshot": snapshot, "split": split,
+}  # fmt: skip
+
+
 def _answer(response: Any, action: Callable[[], tuple[bool, str]]) -> Any:
     response.success, response.message = action()
     return response

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 
-from igtl_gateway.addon import printable
+from igtl_gateway.addon.untrusted import printable
 
 _ROW, _NAME, _BAR, _VALUE = 22, 260, 380, 130
 _LONGEST = 40

@@ -12,27 +12,28 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.addon import (
-    IMPORTED,
     NS_PER_MS,
     NS_PER_S,
     BeingRecorded,
     ConfigError,
     DamagedRecording,
     GatewayError,
-    Kind,
-    SessionFile,
     UnsupportedRecording,
     WireError,
-    cpu_time,
     did_you_mean,
-    files,
-    layout,
-    limits,
-    marks_of,
-    named,
     near_streams,
+)
+from igtl_gateway.addon.checking import (
+    IMPORTED,
+    RULES,
+    ContentSummary,
+    DoctorReport,
+    ledger_gaps,
+    observe_entries,
     verify_session,
 )
+from igtl_gateway.addon.reading import Kind, SessionFile, layout, marks_of, named
+from igtl_gateway.addon.untrusted import cpu_time, files, limits
 from igtl_gateway.addons.cohort.ends import (
     BROKEN,
     FAILED,
@@ -45,11 +46,6 @@ from igtl_gateway.addons.cohort.ends import (
     UNSUPPORTED,
 )
 from igtl_gateway.addons.cohort.objects import ObjectFile, Unreachable, is_url
-from igtl_gateway.app.content_summary import ContentSummary
-from igtl_gateway.app.linting import observe
-from igtl_gateway.doctor.report import DoctorReport
-from igtl_gateway.doctor.rules import RULES
-from igtl_gateway.gateway.log.ledger import gaps
 
 if TYPE_CHECKING:
     from igtl_gateway.addons.cohort.columns import Row
@@ -196,7 +192,7 @@ def _info(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
         "part": int(session[layout.PART_KEY]) if layout.PART_KEY in session else None,
         "links": None if ledger is None else sum(name != "0" for name in ledger.get("links", {})),
         "notes": sum(channel.count for channel in file.channels if channel.kind in layout.NOTE_KINDS),
-        "lost": None if ledger is None else len(gaps(ledger)),
+        "lost": None if ledger is None else len(ledger_gaps(ledger)),
         "has_ledger": ledger is not None,
         "skipped": len(file.skipped),
     }
@@ -208,7 +204,7 @@ def _info(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
 
 def _lint(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
     content = ContentSummary()
-    report = DoctorReport.of(observe(file, None, content.add))
+    report = DoctorReport.of(observe_entries(file, None, content.add))
     findings = [
         {
             "rule": each.rule.id,
@@ -336,7 +332,7 @@ def _end(name: str, end: EndReview) -> Row:
 
 
 def _sync(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
-    from igtl_gateway.addon import of_session
+    from igtl_gateway.addon.reading import of_session
     from igtl_gateway.addons.sync.lag import measure_lag, measure_together
     from igtl_gateway.addons.sync.lags import movement, movements
 

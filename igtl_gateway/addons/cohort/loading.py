@@ -11,7 +11,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import GatewayError, files
+from igtl_gateway.addon import GatewayError
+from igtl_gateway.addon.untrusted import files
 from igtl_gateway.addons.cohort.columns import TABLES
 from igtl_gateway.addons.cohort.parts import Parts, files_of, parts_of, unreadable
 

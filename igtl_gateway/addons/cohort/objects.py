@@ -12,7 +12,9 @@ from datetime import timedelta
 from pathlib import PurePosixPath
 from typing import Any
 
-from igtl_gateway.addon import ConfigError, RangeFile, Unavailable, extras
+from igtl_gateway.addon import ConfigError, Unavailable
+from igtl_gateway.addon.processes import extras
+from igtl_gateway.addon.reading import RangeFile
 
 #: Bytes of one request for small reads.
 BLOCK = 64 << 10

@@ -7,7 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from igtl_gateway.addon import ConfigError, GatewayError, files, parse_json
+from igtl_gateway.addon import ConfigError, GatewayError
+from igtl_gateway.addon.untrusted import files, parse_json
 from igtl_gateway.addons.cohort.columns import SCHEMA_VERSION
 
 MANIFEST = "cohort.json"

@@ -6,7 +6,8 @@ import shutil
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from igtl_gateway.addon import NS_PER_S, Clock, Self, SystemClock, clear_live_line, is_terminal, live_line, print_line
+from igtl_gateway.addon import NS_PER_S, Clock, Self, SystemClock
+from igtl_gateway.addon.terminal import clear_live_line, is_terminal, live_line, print_line
 
 if TYPE_CHECKING:
     from igtl_gateway.addons.cohort.running import RunSummary

@@ -13,7 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from igtl_gateway.addon import ConfigError, GatewayError, Unavailable, extras, limits, open_new
+from igtl_gateway.addon import ConfigError, GatewayError, Unavailable
+from igtl_gateway.addon.processes import extras
+from igtl_gateway.addon.untrusted import limits
+from igtl_gateway.addon.writing import open_new
 from igtl_gateway.addons.cohort.ends import VERB_NAMES
 from igtl_gateway.addons.cohort.loading import Tables, reason
 from igtl_gateway.addons.cohort.parts import MANIFEST

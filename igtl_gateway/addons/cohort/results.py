@@ -19,22 +19,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from igtl_gateway.addon import (
-    ConfigError,
-    DamagedRecording,
-    GatewayError,
-    files,
-    make_folder,
-    open_new,
-    open_text,
-    parse_json,
-    read_parquet,
-    read_parquet_schema,
-)
+from igtl_gateway.addon import ConfigError, DamagedRecording, GatewayError
+from igtl_gateway.addon.untrusted import files, parse_json, read_parquet, read_parquet_schema
+from igtl_gateway.addon.writing import lock_handle, make_folder, open_new, open_text
 from igtl_gateway.addons.cohort.columns import SCHEMA_VERSION, TABLES, Row
 from igtl_gateway.addons.cohort.parts import MANIFEST, PARTS, Parts, files_of, parts_of, unreadable
 from igtl_gateway.addons.cohort.tables import PROVENANCE, arrow_table, concatenated, joined, numbered, schema
-from igtl_gateway.base.systems.files import lock
 
 _LOCK = ".lock"
 
@@ -76,7 +66,7 @@ class Results:
             file = open_new(self.folder / _LOCK, "ab")  # closed below
         with file:
             try:
-                lock(file.fileno())
+                lock_handle(file.fileno())
             except BlockingIOError:
                 raise GatewayError(f"{self.folder}: another run is writing to it; wait for its end") from None
             if (self.folder / MANIFEST).exists():

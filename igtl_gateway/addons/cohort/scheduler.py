@@ -8,7 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from igtl_gateway.addon import ConfigError, SystemClock, Unavailable, UnsupportedRecording, extras, open_file
+from igtl_gateway.addon import ConfigError, SystemClock, Unavailable, UnsupportedRecording
+from igtl_gateway.addon.processes import extras
+from igtl_gateway.addon.untrusted import open_file
 from igtl_gateway.addons.cohort.run import KnownFile, Reply, Runner, RunPlace, RunSettings
 from igtl_gateway.addons.cohort.sources import digest
 from igtl_gateway.addons.cohort.task import failed, job_of, run_task

@@ -8,7 +8,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from igtl_gateway.addon import ConfigError, is_unfinished, marks_files
+from igtl_gateway.addon import ConfigError
+from igtl_gateway.addon.reading import marks_files
+from igtl_gateway.addon.writing import is_unfinished
 from igtl_gateway.addons.cohort.objects import is_url, list_objects
 
 _WILD = "*?["

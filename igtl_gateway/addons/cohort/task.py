@@ -14,10 +14,10 @@ import threading
 from collections.abc import Mapping
 from typing import Any
 
-from igtl_gateway.addon import NS_PER_S, Child, Self, SystemClock
+from igtl_gateway.addon import NS_PER_S, Self, SystemClock
+from igtl_gateway.addon.processes import KILL, Child
 from igtl_gateway.addons.cohort.ends import FAILED, KILLED, MEMORY, TIMEOUT
 from igtl_gateway.addons.cohort.run import KnownFile, RunSettings
-from igtl_gateway.base.systems.processes import KILL
 
 #: How often a job is tried again whose program was killed: another process may have been the cause.
 TRIES = 3

@@ -6,29 +6,24 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
-from igtl_gateway.addon import (
-    ADDONS,
-    ConfigError,
+from igtl_gateway.addon import ConfigError
+from igtl_gateway.addon.processes import ADDONS, check_present, extras, usable_cpus
+from igtl_gateway.addon.terminal import (
     add_json,
     add_output,
     add_overwrite,
     aligned,
-    check_present,
-    check_target,
     command,
     count_text,
     default,
-    extras,
     output_file,
     print_json,
     print_line,
     print_next,
-    write_text,
-    written,
 )
+from igtl_gateway.addon.writing import check_target, write_text, written
 from igtl_gateway.addons.cohort.ends import VERB_NAMES
 from igtl_gateway.addons.cohort.progress import Progress
-from igtl_gateway.base.systems.processes import usable_cpus
 
 EXAMPLES = """\
   # streams, times and rates of all sessions in and below a folder

@@ -10,9 +10,9 @@ import json
 import os
 import sys
 
+from igtl_gateway.addon.processes import limit_data
 from igtl_gateway.addons.cohort.ends import MEMORY
 from igtl_gateway.addons.cohort.jobs import TOO_LARGE, run_job
-from igtl_gateway.base.systems.processes import limit_data
 
 
 def main() -> None:

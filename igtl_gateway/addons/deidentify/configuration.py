@@ -9,12 +9,11 @@ import dataclasses
 import re
 from collections.abc import Callable, Collection, Iterable
 
-from igtl_gateway.addon import Config, matches
+from igtl_gateway.addon import matches
 from igtl_gateway.addon.igtl import BODIES
+from igtl_gateway.addon.settings import AUTO_PROFILE, Config, PeerRow, TfOutRow, ToRosRow
 from igtl_gateway.addons.deidentify.context import Context
 from igtl_gateway.addons.deidentify.notes import known_kinds, known_types
-from igtl_gateway.config.configuration import PeerRow, TfOutRow, ToRosRow
-from igtl_gateway.convert.profiles import AUTO
 
 _WILD = re.compile(r"[*?]")
 _BRACES = re.compile(r"(\{[^{}]*\})")
@@ -62,7 +61,7 @@ def clean_config(config: Config, seen: SeenNames, context: Context) -> Config:
             PeerRow(at, row.profile)
             for row in config.peers
             for at in _expanded(row.at, seen.addresses, names.address)
-            if row.profile != AUTO or not _WILD.search(row.at) or at != row.at
+            if row.profile != AUTO_PROFILE or not _WILD.search(row.at) or at != row.at
         ),
     )
     report = context.report

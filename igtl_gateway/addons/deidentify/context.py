@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from igtl_gateway.addon import matches
+from igtl_gateway.addon.messages import TO_ROS
 from igtl_gateway.addons.deidentify.pixels import PixelCleaner
 from igtl_gateway.addons.deidentify.profile import Profile
 from igtl_gateway.addons.deidentify.pseudonyms import WORDS, Pseudonyms, TimeShift
 from igtl_gateway.addons.deidentify.report import Report
 from igtl_gateway.addons.deidentify.unused import Asked
-from igtl_gateway.convert.table import TO_ROS
 
 
 class Removed(Exception):

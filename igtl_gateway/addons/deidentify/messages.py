@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from igtl_gateway.addon import DEFAULT_ACCEPTANCE, Acceptance, Buffer, WireError, join
+from igtl_gateway.addon import WireError
 from igtl_gateway.addon.igtl import (
     BODIES,
     Bind,
@@ -42,9 +42,18 @@ from igtl_gateway.addon.igtl import (
     visible,
 )
 from igtl_gateway.addon.igtl import COMMAND_NAME_WIDTH as NAME_WIDTH
+from igtl_gateway.addon.messages import (
+    CHILD_FRAME_ITEM,
+    FRAME_ITEM,
+    NAME_ITEM,
+    OUR_ITEMS,
+    STAMP_ITEM,
+    restore_metadata,
+    short_device_name,
+)
+from igtl_gateway.addon.reading import Buffer, join
+from igtl_gateway.addon.settings import DEFAULT_ACCEPTANCE, Acceptance
 from igtl_gateway.addons.deidentify.context import Context, Removed
-from igtl_gateway.convert.names import short_device_name
-from igtl_gateway.gateway.metadata import CHILD_FRAME_ID, FRAME_ID, FULL_NAME, OURS, STAMP, restore_metadata
 
 #: Modalities of DICOM that stay in IMGMETA.
 _MODALITIES = frozenset("CT MR US XA RF CR DX MG NM PT OT ES OP OCT SM XC SEG IVUS RTIMAGE".split())
@@ -98,13 +107,13 @@ class MessageCleaner:
 
     def _metadata(self, message: Message, name: str) -> tuple[Item, ...]:
         context, restored = self._context, restore_metadata(message)
-        items = [item for item in message.metadata if item.key not in OURS and context.keeps_key(item.key)]
-        context.report.add("metadata", sum(item.key not in OURS for item in message.metadata) - len(items))
+        items = [item for item in message.metadata if item.key not in OUR_ITEMS and context.keeps_key(item.key)]
+        context.report.add("metadata", sum(item.key not in OUR_ITEMS for item in message.metadata) - len(items))
         if short_device_name(name) != name:
-            items.append(Item.of(FULL_NAME, name))
+            items.append(Item.of(NAME_ITEM, name))
         if restored.stamp_ns:
-            items.append(Item.of(STAMP, str(context.times.ns(restored.stamp_ns))))
-        for key, frame in ((FRAME_ID, restored.frame_id), (CHILD_FRAME_ID, restored.child_frame_id)):
+            items.append(Item.of(STAMP_ITEM, str(context.times.ns(restored.stamp_ns))))
+        for key, frame in ((FRAME_ITEM, restored.frame_id), (CHILD_FRAME_ITEM, restored.child_frame_id)):
             if frame:
                 items.append(Item.of(key, context.names.name(frame)))
         return sorted_items(items)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from igtl_gateway.addon import (
+from igtl_gateway.addon.igtl import BODIES
+from igtl_gateway.addon.notes import (
     CLOCK_STEP,
     LISTENED,
     ORDERS,
@@ -16,12 +17,9 @@ from igtl_gateway.addon import (
     SETTINGS,
     TICK,
     UNWRITTEN,
-    Mark,
-    MarkNote,
-    Note,
-    whole_number,
 )
-from igtl_gateway.addon.igtl import BODIES
+from igtl_gateway.addon.reading import Mark, MarkNote, Note
+from igtl_gateway.addon.untrusted import whole_number
 from igtl_gateway.addons.deidentify.context import Context
 
 #: Codes of inputs; a note with another code becomes ``OTHER``.

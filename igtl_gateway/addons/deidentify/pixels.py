@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import Unavailable, is_key_frame
+from igtl_gateway.addon import Unavailable
+from igtl_gateway.addon.messages import is_key_frame
 from igtl_gateway.addons.deidentify.masks import Mask, hidden, masked
 from igtl_gateway.addons.deidentify.profile import Profile
 from igtl_gateway.addons.deidentify.report import Report

@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import ConfigError, matches, read_toml
+from igtl_gateway.addon import ConfigError, matches
+from igtl_gateway.addon.settings import read_toml
 from igtl_gateway.addons.deidentify.masks import Fan, Mask, Rectangle
 from igtl_gateway.addons.deidentify.patterns import replaced
 

@@ -15,22 +15,13 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores
 from rosbags.typesys.base import TypesysError, normalize_fieldname
 
-from igtl_gateway.addon import (
-    ConversionError,
-    ElementCounter,
-    GatewayError,
-    Types,
-    new_store,
-    ns_to_ros,
-    pixel_layout,
-    register_types,
-    ros_to_ns,
-)
-from igtl_gateway.addon import ros_definitions as definitions
+from igtl_gateway.addon import ConversionError, GatewayError, ns_to_ros, ros_to_ns
 from igtl_gateway.addon.igtl import BODIES, SCALARS, parse_unit
+from igtl_gateway.addon.messages import DEFINED_PACKAGES, interface_files, pixel_layout
+from igtl_gateway.addon.untrusted import ElementCounter, Types, new_store, register_types
+from igtl_gateway.addon.untrusted import ros_definitions as definitions
 from igtl_gateway.addons.deidentify.context import Context, Removed
 from igtl_gateway.addons.deidentify.messages import MessageCleaner
-from igtl_gateway.convert.interfaces import PACKAGES, interface_files
 
 TIME = "builtin_interfaces/msg/Time"
 _EIGHT_BITS = frozenset({"uint8", "int8", "byte", "char", "octet"})
@@ -258,7 +249,7 @@ def bare_definition(text: str, ros_type: str) -> str:
 def _own_types() -> tuple[Types, ...]:
     """Return the types of the packages of this project, which ROS 2 Jazzy does not have."""
     known = new_store(Stores.ROS2_JAZZY).fielddefs
-    files = ((f"{package}/msg/{path.stem}", path) for package in PACKAGES for path in interface_files(package))
+    files = ((f"{package}/msg/{path.stem}", path) for package in DEFINED_PACKAGES for path in interface_files(package))
     return tuple(
         definitions.parse_definition(path.read_text("utf-8"), name)
         for name, path in files

@@ -9,37 +9,35 @@ from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
 
-from igtl_gateway.addon import (
+from igtl_gateway.addon import DamagedRecording, GatewayError, Unavailable, UnsupportedRecording, WireError, __version__
+from igtl_gateway.addon.checking import (
     IMPORTED,
-    Config,
-    DamagedRecording,
-    Definition,
+    UNSEALED,
+    SealVerification,
+    Session,
+    make_core,
+    verify_recording,
+    verify_seal,
+)
+from igtl_gateway.addon.igtl import BODIES, Bind, visible
+from igtl_gateway.addon.messages import NAME_ITEM, header_names, restore_metadata, short_device_name
+from igtl_gateway.addon.reading import (
     Entry,
-    GatewayError,
     Kind,
     Level,
     Note,
     Qos,
     RecordedStamps,
-    Session,
     SessionFile,
-    SessionWriter,
-    Unavailable,
-    UnsupportedRecording,
-    WireError,
-    __version__,
     added_marks,
     carry_marks,
     config_to_run,
-    header_names,
     input_groups,
     layout,
-    make_core,
     recorded_acceptance,
-    verify_recording,
-    written,
 )
-from igtl_gateway.addon.igtl import BODIES, Bind, visible
+from igtl_gateway.addon.settings import Config
+from igtl_gateway.addon.writing import Definition, SessionWriter, written
 from igtl_gateway.addons.deidentify import patterns
 from igtl_gateway.addons.deidentify.configuration import SeenNames, clean_config
 from igtl_gateway.addons.deidentify.context import Context, Removed
@@ -49,10 +47,6 @@ from igtl_gateway.addons.deidentify.profile import Profile
 from igtl_gateway.addons.deidentify.report import Report
 from igtl_gateway.addons.deidentify.ros import RosCleaner, bare_definition
 from igtl_gateway.addons.deidentify.unused import unused_rows
-from igtl_gateway.app.sealing import SealVerification, verify_seal
-from igtl_gateway.convert.names import short_device_name
-from igtl_gateway.gateway.metadata import FULL_NAME, restore_metadata
-from igtl_gateway.record.sessionfile.seal_check import UNSEALED
 
 #: Code of the note at the end of the result, and key of its metadata.
 DEIDENTIFIED = "deidentified"
@@ -250,7 +244,7 @@ class _Run:
         elif entry.kind is Kind.IGTL_IN:
             name = entry.channel.partition("/")[2]
             data = entry.data()
-            if FULL_NAME.encode() in data or entry.type == "BIND":
+            if NAME_ITEM.encode() in data or entry.type == "BIND":
                 try:
                     message = self._acceptance.message(data)
                 except WireError:

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import MAX_PIXELS, import_av
+from igtl_gateway.addon.messages import MAX_PIXELS, import_av
+from igtl_gateway.addon.settings import ENCODERS
 from igtl_gateway.addons.deidentify.masks import Mask, masked
-from igtl_gateway.edges.video.options import ENCODERS
 
 _DECODERS = {"h264": "h264", "vp9": "vp9"}
 _PICTURES = {"jpeg": "mjpeg", "png": "png"}

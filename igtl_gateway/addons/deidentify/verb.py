@@ -6,24 +6,21 @@ import argparse
 import os
 from pathlib import Path
 
-from igtl_gateway.addon import (
-    NS_PER_S,
-    ConfigError,
-    UnsupportedRecording,
+from igtl_gateway.addon import NS_PER_S, ConfigError, UnsupportedRecording
+from igtl_gateway.addon.terminal import (
     add_file,
     add_json,
     add_output,
     add_overwrite,
     aligned,
-    check_target,
     count_text,
     default,
-    is_same,
     new_recording,
     print_json,
     print_line,
-    read_bytes,
 )
+from igtl_gateway.addon.untrusted import is_same, read_bytes
+from igtl_gateway.addon.writing import check_target
 from igtl_gateway.addons.deidentify.profile import BASIC, read_profile
 from igtl_gateway.addons.deidentify.pseudonyms import MIN_KEY_BYTES
 from igtl_gateway.addons.deidentify.report import Report

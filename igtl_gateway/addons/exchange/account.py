@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from igtl_gateway.addon import Entry, Kind
+from igtl_gateway.addon.reading import Entry, Kind
 from igtl_gateway.addons.exchange.senders import Senders
 from igtl_gateway.addons.exchange.source import ImportedStream
 

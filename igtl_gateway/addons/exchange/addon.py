@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from igtl_gateway.addon import Verb
-from igtl_gateway.cli.verbs import CONVERT
+from igtl_gateway.addon.terminal import CONVERT, Verb
 
 VERBS = {
     "import": Verb(

@@ -13,11 +13,12 @@ from typing import BinaryIO, Protocol
 
 import pyarrow as pa
 
-from igtl_gateway.addon import Entry, Kind, MessageDecoder, block_of, recorded_acceptance, recorded_units
+from igtl_gateway.addon.reading import Entry, Kind, block_of, recorded_acceptance, recorded_units
+from igtl_gateway.addon.streams import TableMaker, fitted, unified
+from igtl_gateway.addon.untrusted import MessageDecoder
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
 from igtl_gateway.addons.exchange.folder import FileNames, Folder, new_folder
 from igtl_gateway.addons.exchange.selection import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
-from igtl_gateway.api.arrow_tables import TableMaker, fitted, unified
 
 #: Files that are open at the same time; a usual session has a few dozen streams.
 _MAX_FILES = 500

@@ -11,8 +11,10 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from igtl_gateway.addon import NS_PER_MS, Buffer, DamagedRecording, MessageTooLarge, UnsupportedRecording, files
+from igtl_gateway.addon import NS_PER_MS, DamagedRecording, MessageTooLarge, UnsupportedRecording
 from igtl_gateway.addon.igtl import DEVICE_NAME_AT, HEADER_SIZE, HEADER_VERSIONS, Framer, Header
+from igtl_gateway.addon.reading import Buffer
+from igtl_gateway.addon.untrusted import files
 from igtl_gateway.addons.exchange.sequence import DEFAULT_EPOCH_NS
 from igtl_gateway.addons.exchange.source import (
     BYTES,

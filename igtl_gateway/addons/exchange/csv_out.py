@@ -19,12 +19,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from igtl_gateway.addon import Entry, Kind, MessageDecoder, failure_text, open_text, recorded_acceptance, recorded_units
+from igtl_gateway.addon import failure_text
 from igtl_gateway.addon.igtl import describe_content
-from igtl_gateway.addons.exchange.account import ExportAccount
-from igtl_gateway.addons.exchange.folder import FileNames, Folder, new_folder
-from igtl_gateway.addons.exchange.selection import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
-from igtl_gateway.api.columns import (
+from igtl_gateway.addon.reading import Entry, Kind, recorded_acceptance, recorded_units
+from igtl_gateway.addon.streams import (
     HEAD,
     LINK,
     MAX_COLUMNS,
@@ -34,6 +32,11 @@ from igtl_gateway.api.columns import (
     name_ros_fields,
     table_rows,
 )
+from igtl_gateway.addon.untrusted import MessageDecoder
+from igtl_gateway.addon.writing import open_text
+from igtl_gateway.addons.exchange.account import ExportAccount
+from igtl_gateway.addons.exchange.folder import FileNames, Folder, new_folder
+from igtl_gateway.addons.exchange.selection import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
 
 #: Files that are open at the same time; a usual session has a few dozen streams.
 _MAX_FILES = 500

@@ -6,28 +6,23 @@ import argparse
 import shlex
 from typing import Any
 
-from igtl_gateway.addon import (
-    GAP_NS,
-    NS_PER_S,
-    ConfigError,
-    GatewayError,
-    SessionFile,
+from igtl_gateway.addon import NS_PER_S, ConfigError, GatewayError
+from igtl_gateway.addon.processes import is_present, part_of
+from igtl_gateway.addon.reading import SessionFile, check_recorded, with_state
+from igtl_gateway.addon.streams import GAP_NS
+from igtl_gateway.addon.terminal import (
     add_file,
     add_json,
     add_output,
     add_streams,
     cell,
-    check_recorded,
     count_text,
     default,
     definitions,
     file_name,
-    is_present,
-    part_of,
     print_json,
     print_line,
     width,
-    with_state,
 )
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
 from igtl_gateway.addons.exchange.selection import bare_glob, sides_without_match

@@ -10,7 +10,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO, TypeVar
 
-from igtl_gateway.addon import Buffer, Entry, Kind, failure_text, open_new, written_folder
+from igtl_gateway.addon import failure_text
+from igtl_gateway.addon.reading import Buffer, Entry, Kind
+from igtl_gateway.addon.writing import open_new, written_folder
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.selection import IGTL_KINDS, ROS_KINDS, Channel, Recording, chosen_entries
 

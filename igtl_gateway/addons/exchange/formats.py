@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from igtl_gateway.addon import NoSuchRecording, UnsupportedRecording, files
+from igtl_gateway.addon import NoSuchRecording, UnsupportedRecording
+from igtl_gateway.addon.untrusted import files
 from igtl_gateway.addons.exchange.capture import Capture, looks_like_igtl
 from igtl_gateway.addons.exchange.itk_transform import looks_like_transform
 from igtl_gateway.addons.exchange.markups import looks_like_markups

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
-from igtl_gateway.addon import limits
+from igtl_gateway.addon.untrusted import limits
 from igtl_gateway.addons.exchange.raster import Raster
 
 _FRAME_FIELD = re.compile(r"Seq_Frame([0-9]{1,9})_(.+)", re.IGNORECASE)

@@ -9,30 +9,24 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import (
-    NS_PER_S,
-    Config,
-    ConfigError,
-    DamagedRecording,
-    SessionWriter,
-    WireError,
-    __version__,
+from igtl_gateway.addon import NS_PER_S, ConfigError, DamagedRecording, WireError, __version__, iso_time
+from igtl_gateway.addon.reading import layout
+from igtl_gateway.addon.settings import Config
+from igtl_gateway.addon.terminal import (
     add_json,
     add_output,
     add_overwrite,
     cell,
     count_text,
     default,
-    is_same,
-    iso_time,
-    layout,
     new_recording,
     print_json,
     print_line,
     size_text,
     width,
-    written,
 )
+from igtl_gateway.addon.untrusted import is_same
+from igtl_gateway.addon.writing import SessionWriter, written
 from igtl_gateway.addons.exchange.formats import open_source
 from igtl_gateway.addons.exchange.source import ImportedStream, Source, numbered
 

@@ -14,7 +14,8 @@ from typing import BinaryIO
 
 import numpy as np
 
-from igtl_gateway.addon import DamagedRecording, UnsupportedRecording, files, limits
+from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
+from igtl_gateway.addon.untrusted import files, limits
 
 HDF5 = b"\x89HDF\r\n\x1a\n"
 _GROUP = "TransformGroup"

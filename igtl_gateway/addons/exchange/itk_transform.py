@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import DamagedRecording, UnsupportedRecording, files, limits
+from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
+from igtl_gateway.addon.untrusted import files, limits
 from igtl_gateway.addons.exchange.itk_hdf5 import HDF5, read_hdf5
 
 Array = npt.NDArray[np.float64]

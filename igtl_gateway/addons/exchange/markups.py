@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import DamagedRecording, UnsupportedRecording, files, limits, parse_json
+from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
+from igtl_gateway.addon.untrusted import files, limits, parse_json
 
 FCSV = b"# Markups fiducial file"
 LINE, PLANE, ROI = "Line", "Plane", "ROI"

@@ -13,7 +13,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
-from igtl_gateway.addon import DamagedRecording, UnsupportedRecording, files, limits
+from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
+from igtl_gateway.addon.streams import ImagePlacement
+from igtl_gateway.addon.untrusted import files, limits
 from igtl_gateway.addons.exchange.header import Frames, ImageFile, ImageFileHeader, header_lines
 from igtl_gateway.addons.exchange.raster import (
     COMPONENT,
@@ -30,7 +32,6 @@ from igtl_gateway.addons.exchange.raster import (
     parse_number,
     parse_whole,
 )
-from igtl_gateway.api.placement import ImagePlacement
 
 _TYPES = {
     "MET_CHAR": "i1",

@@ -13,8 +13,8 @@ import math
 from collections.abc import Mapping
 
 from igtl_gateway.addon.igtl import SCALARS, Image
+from igtl_gateway.addon.streams import ImagePlacement, Vector
 from igtl_gateway.addons.exchange.metaimage import MET_NAMES
-from igtl_gateway.api.placement import ImagePlacement, Vector
 
 #: Orientations of ultrasound images in PLUS, by the axes along rows and columns: Marked or Unmarked side, Far or Near,
 #: Ascending or Descending.

@@ -15,7 +15,11 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from igtl_gateway.addon import DamagedRecording, Unavailable, UnsupportedRecording, limits, millimetres, missing
+from igtl_gateway.addon import DamagedRecording, Unavailable, UnsupportedRecording
+from igtl_gateway.addon.messages import millimetres
+from igtl_gateway.addon.processes import missing
+from igtl_gateway.addon.streams import ImagePlacement
+from igtl_gateway.addon.untrusted import limits
 from igtl_gateway.addons.exchange.header import ImageFile
 from igtl_gateway.addons.exchange.raster import (
     COMPONENT,
@@ -28,7 +32,6 @@ from igtl_gateway.addons.exchange.raster import (
     Raster,
     check_axes,
 )
-from igtl_gateway.api.placement import ImagePlacement
 
 _GZIP = b"\x1f\x8b"
 #: sizeof_hdr, in bytes → version.

@@ -13,7 +13,9 @@ import re
 from pathlib import Path
 from typing import BinaryIO
 
-from igtl_gateway.addon import DamagedRecording, UnsupportedRecording, files, limits
+from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
+from igtl_gateway.addon.streams import ImagePlacement, Vector
+from igtl_gateway.addon.untrusted import files, limits
 from igtl_gateway.addons.exchange.header import Frames, ImageFile, ImageFileHeader, header_lines
 from igtl_gateway.addons.exchange.raster import (
     BZIP2,
@@ -31,7 +33,6 @@ from igtl_gateway.addons.exchange.raster import (
     parse_number,
     parse_whole,
 )
-from igtl_gateway.api.placement import ImagePlacement, Vector
 
 _TYPES = {
     **dict.fromkeys(("signed char", "int8", "int8_t"), "i1"),

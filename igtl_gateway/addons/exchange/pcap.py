@@ -22,8 +22,9 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
-from igtl_gateway.addon import Buffer, MessageTooLarge
+from igtl_gateway.addon import MessageTooLarge
 from igtl_gateway.addon.igtl import HEADER_SIZE, Framer
+from igtl_gateway.addon.reading import Buffer
 from igtl_gateway.addons.exchange.capture import count_message, looks_like_igtl
 from igtl_gateway.addons.exchange.pcap_file import PacketFile
 from igtl_gateway.addons.exchange.pcap_segments import ACK, FIN, LINKS, RST, SYN, Address, Segment, Segments

@@ -23,7 +23,9 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from igtl_gateway.addon import NS_PER_S, DamagedRecording, Unavailable, UnsupportedRecording, files, limits, missing
+from igtl_gateway.addon import NS_PER_S, DamagedRecording, Unavailable, UnsupportedRecording
+from igtl_gateway.addon.processes import missing
+from igtl_gateway.addon.untrusted import files, limits
 from igtl_gateway.addons.exchange.source import library_errors_as_damage
 
 #: Largest packet, and largest block of pcapng, in bytes.

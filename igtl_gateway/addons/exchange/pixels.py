@@ -15,7 +15,8 @@ from typing import Any, BinaryIO, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import DamagedRecording, UnsupportedRecording, files, limits
+from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
+from igtl_gateway.addon.untrusted import files, limits
 from igtl_gateway.addons.exchange.raster import BZIP2, COMPONENT, FRAME, RAW, WIDER, Raster, check_room
 from igtl_gateway.addons.exchange.source import library_errors_as_damage
 

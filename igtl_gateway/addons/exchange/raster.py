@@ -14,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from igtl_gateway.addon import DamagedRecording, UnsupportedRecording, limits
-from igtl_gateway.api.placement import ImagePlacement
+from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
+from igtl_gateway.addon.streams import ImagePlacement
+from igtl_gateway.addon.untrusted import limits
 
 SPACE, COMPONENT, FRAME = "space", "component", "frame"
 RAW, ZLIB, BZIP2 = "raw", "zlib", "bzip2"

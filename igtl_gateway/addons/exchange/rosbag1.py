@@ -25,23 +25,14 @@ from rosbags.typesys import Stores
 from rosbags.typesys.base import TypesysError
 from rosbags.typesys.store import Typestore
 
-from igtl_gateway.addon import (
-    DamagedRecording,
-    Definition,
-    ElementCounter,
-    Kind,
-    Qos,
-    StampPlaces,
-    Types,
-    limits,
-    new_store,
-    register_types,
-)
-from igtl_gateway.addon import ros_definitions as definitions
+from igtl_gateway.addon import DamagedRecording
+from igtl_gateway.addon.reading import Kind, Qos, StampPlaces
+from igtl_gateway.addon.untrusted import ElementCounter, Types, code_size, limits, new_store, register_types
+from igtl_gateway.addon.untrusted import ros_definitions as definitions
+from igtl_gateway.addon.writing import Definition
 from igtl_gateway.addons.exchange.rosbag1_file import BagConnection, BagFile
 from igtl_gateway.addons.exchange.rostypes import names_not_allowed
 from igtl_gateway.addons.exchange.source import ImportedItem, ImportedStream, NonRosSource
-from igtl_gateway.base.untrusted.definition_checks import weight
 
 #: Type → its different name in ROS 2.
 RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
@@ -136,7 +127,7 @@ class Rosbag1(NonRosSource):
             return None, f"its definition cannot be used: {error}"
 
     def _register(self, store: Typestore, types: Types) -> None:
-        self._fields += sum(map(weight, types.values()))
+        self._fields += sum(map(code_size, types.values()))
         limits.check_limit("fields", self._fields, "definitions of the bag", 2 * limits.current_limits().fields)
         register_types(store, types)
 

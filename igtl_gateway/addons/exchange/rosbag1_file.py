@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from igtl_gateway.addon import DamagedRecording, UnsupportedRecording, files, limits
-from igtl_gateway.base.untrusted import unpack
+from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
+from igtl_gateway.addon.untrusted import files, limits, unpack
 
 _MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _BAG, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 5, 6, 7

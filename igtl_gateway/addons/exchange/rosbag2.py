@@ -26,19 +26,10 @@ from typing import Protocol
 
 from mcap.records import Attachment, Metadata
 
-from igtl_gateway.addon import (
-    DamagedRecording,
-    Definition,
-    FileDefinitions,
-    Kind,
-    Qos,
-    UnsupportedRecording,
-    another_definition,
-    files,
-    layout,
-    limits,
-    open_new,
-)
+from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
+from igtl_gateway.addon.reading import Kind, Qos, layout, message_rows, read_index, read_record, records, recover_hint
+from igtl_gateway.addon.untrusted import files, limits, unpack
+from igtl_gateway.addon.writing import Definition, FileDefinitions, another_definition, open_new
 from igtl_gateway.addons.exchange.rosbag2_metadata import (
     METADATA,
     BagMetadata,
@@ -50,11 +41,6 @@ from igtl_gateway.addons.exchange.rosbag2_metadata import (
 from igtl_gateway.addons.exchange.rosbag2_sqlite import Message, SqliteStorage
 from igtl_gateway.addons.exchange.rostypes import with_hash
 from igtl_gateway.addons.exchange.source import ImportedItem, ImportedStream, NonRosSource, library_errors_as_damage
-from igtl_gateway.base.untrusted.unpack import unpack_zstd_file, unpack_zstd_of_any_size
-from igtl_gateway.record.sessionfile import records
-from igtl_gateway.record.sessionfile.index import read_index, read_record, recover_hint
-from igtl_gateway.record.sessionfile.order import message_rows
-from igtl_gateway.record.sessionfile.records import Malformed
 
 #: Upper bound of times in a session, in ns; a larger time is damage, or has another unit.
 _MAX_NS = 1 << 62
@@ -134,7 +120,7 @@ class Rosbag2(NonRosSource):
         allowed = min(max(bounds.free, bounds.ratio * size), shutil.disk_usage(self._unpacked.name).free // 2)
         try:
             with files.open_file(path) as packed, open_new(plain) as out:
-                unpack_zstd_file(packed, out, size, allowed, str(path))
+                unpack.unpack_zstd_file(packed, out, size, allowed, str(path))
         except OSError as error:
             raise DamagedRecording(f"{path}: cannot be decompressed: {error.strerror or error}") from None
         return plain
@@ -198,7 +184,7 @@ class Rosbag2(NonRosSource):
                 self.notes.append(f"each message is compressed with zstd, which {source} does not state")
             if by_message:
                 place = f"{self._path}: {key[0]} at {time_ns} ns"
-                payload = unpack_zstd_of_any_size(data, place)
+                payload = unpack.unpack_zstd_of_any_size(data, place)
                 packed, unpacked = packed + len(data), unpacked + len(payload)
                 limits.check_limit(
                     "ratio", unpacked, f"{place}: all messages so far", bounds.free + bounds.ratio * packed
@@ -324,7 +310,7 @@ class _Mcap:
                     if key := self._keys.get(channel):
                         # publish_time = log_time means "unset" in MCAP
                         yield log_ns, key, data[start:end], publish_ns if publish_ns != log_ns else 0
-        except Malformed as error:
+        except records.Malformed as error:
             raise DamagedRecording(f"{self._path}: {error}{recover_hint(self._path)}") from None
 
     def close(self) -> None:

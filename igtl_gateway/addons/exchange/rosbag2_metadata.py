@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from igtl_gateway.addon import DamagedRecording, UnsupportedRecording, files, limits, parse_yaml
+from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
+from igtl_gateway.addon.untrusted import files, limits, parse_yaml
 
 METADATA = "metadata.yaml"
 _NEWEST = 9

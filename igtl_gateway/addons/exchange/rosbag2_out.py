@@ -16,7 +16,8 @@ from pathlib import Path
 from mcap.records import Metadata
 from mcap.writer import CompressionType, Writer
 
-from igtl_gateway.addon import Qos, __version__, layout
+from igtl_gateway.addon import __version__
+from igtl_gateway.addon.reading import Qos, layout
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import new_folder
 from igtl_gateway.addons.exchange.rostypes import with_hash

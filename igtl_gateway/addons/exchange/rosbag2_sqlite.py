@@ -13,17 +13,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import (
-    DamagedRecording,
-    Definition,
-    FileDefinitions,
-    LimitExceeded,
-    RecordingError,
-    files,
-    limit_values,
-    limits,
-    read_blob,
-)
+from igtl_gateway.addon import DamagedRecording, LimitExceeded, RecordingError, limit_values, read_blob
+from igtl_gateway.addon.untrusted import files, limits
+from igtl_gateway.addon.writing import Definition, FileDefinitions
 from igtl_gateway.addons.exchange.rosbag2_metadata import Key
 
 #: A message of a storage file: time in UTC ns, key, bytes, source stamp in UTC ns or 0.

@@ -11,8 +11,10 @@ from collections.abc import Callable
 
 from rosbags.typesys.base import TypesysError
 
-from igtl_gateway.addon import DamagedRecording, Definition, Types, limits, new_store
-from igtl_gateway.addon import ros_definitions as definitions
+from igtl_gateway.addon import DamagedRecording
+from igtl_gateway.addon.untrusted import Types, limits, new_store
+from igtl_gateway.addon.untrusted import ros_definitions as definitions
+from igtl_gateway.addon.writing import Definition
 
 _MOST_NAMES = 6
 _LOWER = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*", re.ASCII)

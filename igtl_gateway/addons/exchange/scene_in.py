@@ -21,22 +21,11 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from igtl_gateway.addon import (
-    NS_PER_S,
-    DamagedRecording,
-    Element,
-    GatewayError,
-    UnsupportedRecording,
-    distinct_names,
-    files,
-    join,
-    limits,
-    make_folder,
-    open_new,
-    parse_xml,
-    whole_number,
-)
+from igtl_gateway.addon import NS_PER_S, DamagedRecording, GatewayError, UnsupportedRecording, distinct_names
 from igtl_gateway.addon.igtl import DEVICE_NAME_AT, Message, Points, String, Transform, cut_text, encode, ns_to_ticks
+from igtl_gateway.addon.reading import join
+from igtl_gateway.addon.untrusted import Element, files, limits, parse_xml, whole_number
+from igtl_gateway.addon.writing import make_folder, open_new
 from igtl_gateway.addons.exchange.markups import read_markups
 from igtl_gateway.addons.exchange.scene_nodes import read_facts
 from igtl_gateway.addons.exchange.sequence import DEFAULT_EPOCH_NS

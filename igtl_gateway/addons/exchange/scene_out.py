@@ -28,28 +28,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import (
-    NS_PER_MS,
-    NS_PER_S,
-    ConfigError,
-    Kind,
-    OneClock,
-    RecordedStamps,
-    SessionFile,
-    StreamTimes,
-    UnsupportedRecording,
-    __version__,
-    distinct_names,
-    make_folder,
-    marks_of,
-    one_clock,
-    open_new,
-    printable,
-    utc_text,
-    written,
-    written_folder,
-)
+from igtl_gateway.addon import NS_PER_MS, NS_PER_S, ConfigError, UnsupportedRecording, __version__, distinct_names
+from igtl_gateway.addon.reading import Kind, RecordedStamps, SessionFile, marks_of
 from igtl_gateway.addon.ros import Image as RosImage
+from igtl_gateway.addon.streams import OneClock, StreamTimes, one_clock
+from igtl_gateway.addon.terminal import utc_text
+from igtl_gateway.addon.untrusted import printable
+from igtl_gateway.addon.writing import make_folder, open_new, written, written_folder
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.scene_files import axes_file, pose_file, table_files
 from igtl_gateway.addons.exchange.scene_nodes import Scene, facts

@@ -15,30 +15,24 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import (
-    POSE_TYPES,
-    Cloud,
-    ConfigError,
+from igtl_gateway.addon import ConfigError, FreeNames, failure_text
+from igtl_gateway.addon.igtl import Cells, NdArray, PolyData, Sensor, Status, String, describe_content
+from igtl_gateway.addon.messages import colour_field, millimetres
+from igtl_gateway.addon.reading import (
     Entry,
-    FreeNames,
-    Interleaving,
     Kind,
-    MessageDecoder,
     SessionFile,
     Stream,
     block_of,
-    failure_text,
-    millimetres,
     of_session,
-    open_new,
     recorded_acceptance,
     recorded_units,
-    tools_of,
-    transforms_of,
 )
-from igtl_gateway.addon.igtl import Cells, NdArray, PolyData, Sensor, Status, String, describe_content
 from igtl_gateway.addon.ros import FrameTransform, JointState, LinkStatusList, TFMessage
 from igtl_gateway.addon.ros import String as RosString
+from igtl_gateway.addon.streams import POSE_TYPES, Cloud, Interleaving, name_ros_fields, tools_of, transforms_of
+from igtl_gateway.addon.untrusted import MessageDecoder
+from igtl_gateway.addon.writing import open_new
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
 from igtl_gateway.addons.exchange.scene_store import DATA, Store
 from igtl_gateway.addons.exchange.scene_tracks import (
@@ -54,8 +48,6 @@ from igtl_gateway.addons.exchange.scene_tracks import (
 from igtl_gateway.addons.exchange.selection import IGTL_KINDS, ROS_KINDS, chosen_entries
 from igtl_gateway.addons.exchange.surface_out import export_surface_of, vtk
 from igtl_gateway.addons.exchange.volume_out import PICTURES, export_picture_of
-from igtl_gateway.api.columns import name_ros_fields
-from igtl_gateway.convert.clouds import colour_field
 
 Array = npt.NDArray[Any]
 

@@ -15,8 +15,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import GatewayError, failure_text, is_present, matrices_of, part_of
+from igtl_gateway.addon import GatewayError, failure_text
 from igtl_gateway.addon.igtl import Cells, PolyData
+from igtl_gateway.addon.processes import is_present, part_of
+from igtl_gateway.addon.streams import matrices_of
 from igtl_gateway.addons.exchange.scene_tracks import NumberTrack, PoseTrack, Track
 from igtl_gateway.addons.exchange.surface_out import vtk
 

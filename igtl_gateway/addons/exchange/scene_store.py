@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Protocol
 
-from igtl_gateway.addon import make_folder, open_new
+from igtl_gateway.addon.writing import make_folder, open_new
 
 #: Folder of all files that the scene refers to.
 DATA = "Data"

@@ -16,12 +16,13 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import NS_PER_MS, NS_PER_S, Buffer, Entry, StreamTimes
+from igtl_gateway.addon import NS_PER_MS, NS_PER_S
 from igtl_gateway.addon.igtl import BIG_ENDIAN, SCALARS, Image
+from igtl_gateway.addon.reading import Buffer, Entry
+from igtl_gateway.addon.streams import ImagePlacement, StreamTimes
 from igtl_gateway.addons.exchange.account import ExportedStream
 from igtl_gateway.addons.exchange.scene_nodes import Scene
 from igtl_gateway.addons.exchange.scene_store import entry_info
-from igtl_gateway.api.placement import ImagePlacement
 
 Array = npt.NDArray[Any]
 Times = npt.NDArray[np.int64]

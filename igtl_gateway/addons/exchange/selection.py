@@ -9,8 +9,10 @@ from typing import Protocol
 
 from mcap.records import Attachment, Metadata
 
-from igtl_gateway.addon import Definition, Entry, Kind, Qos, RecordedStamps, SessionFile, WireError, matches
+from igtl_gateway.addon import WireError, matches
 from igtl_gateway.addon.igtl import HEADER_SIZE, ExtendedHeader, Header
+from igtl_gateway.addon.reading import Entry, Kind, Qos, RecordedStamps, SessionFile
+from igtl_gateway.addon.writing import Definition
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
 
 IGTL_KINDS = (Kind.IGTL_IN, Kind.IGTL_OUT)

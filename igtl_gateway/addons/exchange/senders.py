@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from igtl_gateway.addon import Entry, Interleaving, Kind
 from igtl_gateway.addon.igtl import is_dialogue
+from igtl_gateway.addon.reading import Entry, Kind
+from igtl_gateway.addon.streams import Interleaving
 
 #: Topics of a stream that are named.
 _MOST_TOPICS = 5

@@ -20,7 +20,7 @@ from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import BinaryIO
 
-from igtl_gateway.addon import NS_PER_S, Buffer, DamagedRecording, files, join, limits, whole_number
+from igtl_gateway.addon import NS_PER_S, DamagedRecording
 from igtl_gateway.addon.igtl import (
     BIG_ENDIAN,
     LITTLE_ENDIAN,
@@ -32,6 +32,9 @@ from igtl_gateway.addon.igtl import (
     encode,
     ns_to_ticks,
 )
+from igtl_gateway.addon.reading import Buffer, join
+from igtl_gateway.addon.streams import COORDINATE
+from igtl_gateway.addon.untrusted import files, limits, whole_number
 from igtl_gateway.addons.exchange import pixels
 from igtl_gateway.addons.exchange.header import ImageFile
 from igtl_gateway.addons.exchange.metaimage import read_metaimage
@@ -47,7 +50,6 @@ from igtl_gateway.addons.exchange.source import (
     note_item,
     peer_item,
 )
-from igtl_gateway.api.placement import COORDINATE
 
 #: Default epoch of the times in a file: 2000-01-01T00:00:00Z.
 DEFAULT_EPOCH_NS = 946_684_800 * NS_PER_S

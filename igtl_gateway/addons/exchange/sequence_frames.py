@@ -17,31 +17,21 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import (
+from igtl_gateway.addon import NS_PER_S, ConfigError, UnsupportedRecording, distinct_names, failure_text
+from igtl_gateway.addon.igtl import Image, Message, Transform
+from igtl_gateway.addon.messages import millimetres
+from igtl_gateway.addon.reading import Buffer, Entry, Kind, Note, RecordedStamps, recorded_acceptance, recorded_units
+from igtl_gateway.addon.streams import (
     END_NS,
     GAP_NS,
-    NS_PER_S,
-    Buffer,
-    ConfigError,
-    Entry,
     Interleaving,
-    Kind,
-    Note,
     OneClock,
-    RecordedStamps,
     StreamTimes,
-    UnsupportedRecording,
     between_poses,
-    distinct_names,
-    failure_text,
-    limits,
-    millimetres,
     one_clock,
     pick,
-    recorded_acceptance,
-    recorded_units,
 )
-from igtl_gateway.addon.igtl import Image, Message, Transform
+from igtl_gateway.addon.untrusted import limits
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
 from igtl_gateway.addons.exchange.selection import IGTL_KINDS, Recording, chosen_entries, matches_stream
 from igtl_gateway.addons.exchange.sequence import OK, TRANSFORM_STATUS

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from igtl_gateway.addon import Kind
+from igtl_gateway.addon.reading import Kind
 
 #: What divides the two frames in a name.
 _TO = re.compile(r"To(?=[A-Z])")

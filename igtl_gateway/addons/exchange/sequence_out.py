@@ -11,24 +11,18 @@ import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from igtl_gateway.addon import (
-    GAP_NS,
-    NS_PER_S,
-    Buffer,
-    UnsupportedRecording,
-    distinct_names,
-    open_new,
-    whole_number,
-    written,
-)
+from igtl_gateway.addon import NS_PER_S, UnsupportedRecording, distinct_names
 from igtl_gateway.addon.igtl import BIG_ENDIAN, Image
+from igtl_gateway.addon.reading import Buffer
+from igtl_gateway.addon.streams import GAP_NS, ImagePlacement
+from igtl_gateway.addon.untrusted import whole_number
+from igtl_gateway.addon.writing import open_new, written
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.metaimage_out import SIZE_KEY, SIZE_WIDTH, metaimage_header
 from igtl_gateway.addons.exchange.selection import Recording
 from igtl_gateway.addons.exchange.sequence import EPOCH_FIELD
 from igtl_gateway.addons.exchange.sequence_frames import IDENTITY, SequenceFrame, SequenceFrames
 from igtl_gateway.addons.exchange.sequence_names import another_name, name_in_file
-from igtl_gateway.api.placement import ImagePlacement
 
 #: Name of the transform from pixels to RAS millimetres, used if images move and no other has it.
 _IMAGE_PLACE = "ImageToRas"

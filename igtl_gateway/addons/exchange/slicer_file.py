@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from igtl_gateway.addon import join
 from igtl_gateway.addon.igtl import (
     ENTRY_AND_TARGET,
     Body,
@@ -26,6 +25,7 @@ from igtl_gateway.addon.igtl import (
     encode,
     ns_to_ticks,
 )
+from igtl_gateway.addon.reading import join
 from igtl_gateway.addons.exchange.itk_transform import read_transform, to_parent
 from igtl_gateway.addons.exchange.markups import LINE, PLANE, ROI, Markup, read_markups
 from igtl_gateway.addons.exchange.sequence import DEFAULT_EPOCH_NS

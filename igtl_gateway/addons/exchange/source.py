@@ -15,20 +15,11 @@ from typing import Protocol
 
 from mcap.records import Attachment, Metadata
 
-from igtl_gateway.addon import (
-    LINK_DOWN,
-    LINK_UP,
-    Buffer,
-    DamagedRecording,
-    Definition,
-    Entry,
-    GatewayError,
-    Kind,
-    Level,
-    Note,
-    Qos,
-    header_names,
-)
+from igtl_gateway.addon import DamagedRecording, GatewayError
+from igtl_gateway.addon.messages import header_names
+from igtl_gateway.addon.notes import LINK_DOWN, LINK_UP
+from igtl_gateway.addon.reading import Buffer, Entry, Kind, Level, Note, Qos
+from igtl_gateway.addon.writing import Definition
 
 MESSAGES, BYTES = "messages", "bytes"
 

@@ -18,32 +18,28 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import (
-    DEFAULT_ACCEPTANCE,
-    Acceptance,
-    ConversionError,
+from igtl_gateway.addon import ConversionError, FreeNames, ros
+from igtl_gateway.addon.igtl import CELL, NORMAL, Attribute, Cells, PolyData
+from igtl_gateway.addon.messages import (
     ConvertedMessage,
-    Entry,
-    FreeNames,
     LengthUnits,
     ToIgtlContext,
     cloud_to_polydata,
+    colour_bytes,
+    colour_field,
     ieee_754,
     into_ros,
     marker_to_igtl,
     mesh_to_igtl,
     millimetres,
     polydata_to_igtl,
-    recorded_acceptance,
-    recorded_units,
-    ros,
 )
-from igtl_gateway.addon.igtl import CELL, NORMAL, Attribute, Cells, PolyData
+from igtl_gateway.addon.reading import Entry, recorded_acceptance, recorded_units
 from igtl_gateway.addon.ros import Marker, Mesh, PointCloud2
+from igtl_gateway.addon.settings import DEFAULT_ACCEPTANCE, Acceptance
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import export_one_file_each
 from igtl_gateway.addons.exchange.selection import Recording
-from igtl_gateway.convert.clouds import colour_bytes, colour_field
 
 Array = npt.NDArray[Any]
 

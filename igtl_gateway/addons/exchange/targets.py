@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from igtl_gateway.addon import GAP_NS, RecordedStamps
+from igtl_gateway.addon.reading import RecordedStamps
+from igtl_gateway.addon.streams import GAP_NS
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.csv_out import export_csv
 from igtl_gateway.addons.exchange.rosbag2_out import export_rosbag2

@@ -18,26 +18,24 @@ from pathlib import Path
 
 import numpy as np
 
-from igtl_gateway.addon import (
-    Acceptance,
-    ConversionError,
+from igtl_gateway.addon import ConversionError
+from igtl_gateway.addon.igtl import BIG_ENDIAN, SCALARS, Image
+from igtl_gateway.addon.messages import (
     ConvertedMessage,
-    Entry,
     LengthUnits,
     ToIgtlContext,
     image_to_igtl,
     millimetres,
-    recorded_acceptance,
-    recorded_units,
     volume_to_image,
 )
-from igtl_gateway.addon.igtl import BIG_ENDIAN, SCALARS, Image
+from igtl_gateway.addon.reading import Entry, recorded_acceptance, recorded_units
 from igtl_gateway.addon.ros import Image as RosImage
 from igtl_gateway.addon.ros import Volume
+from igtl_gateway.addon.settings import Acceptance
+from igtl_gateway.addon.streams import ImagePlacement, Vector, has_own_normal
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import export_one_file_each
 from igtl_gateway.addons.exchange.selection import Recording
-from igtl_gateway.api.placement import ImagePlacement, Vector, has_own_normal
 
 _TO_IMAGE: dict[str, Callable[[bytes, ToIgtlContext], ConvertedMessage]] = {
     Volume.TYPE: lambda data, to: volume_to_image(Volume.unpack(data), to),

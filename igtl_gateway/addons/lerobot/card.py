@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from igtl_gateway.addon import __version__, printable, write_text
+from igtl_gateway.addon import __version__
+from igtl_gateway.addon.untrusted import printable
+from igtl_gateway.addon.writing import write_text
 from igtl_gateway.addons.lerobot.card_streams import Facts
 from igtl_gateway.addons.lerobot.frames import Plan
 from igtl_gateway.addons.lerobot.splits import divided, listed

@@ -7,7 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from igtl_gateway.addon import NS_PER_MS, NS_PER_S, GatewayError, Recording
+from igtl_gateway.addon import NS_PER_MS, NS_PER_S, GatewayError
+from igtl_gateway.addon.reading import Recording
 from igtl_gateway.addons.lerobot.frames import Plan
 from igtl_gateway.addons.lerobot.resampling import coverage
 from igtl_gateway.addons.lerobot.samples import Samples, signal_of, stamps_of

@@ -17,7 +17,8 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from igtl_gateway.addon import Deadline, GatewayError, read_bytes, size_of, stored_bytes
+from igtl_gateway.addon import GatewayError
+from igtl_gateway.addon.untrusted import Deadline, read_bytes, size_of, stored_bytes
 from igtl_gateway.addons.lerobot.checking_stats import StatsCheck
 from igtl_gateway.addons.lerobot.checking_videos import check_videos
 from igtl_gateway.addons.lerobot.checksums import check_checksums, data_files

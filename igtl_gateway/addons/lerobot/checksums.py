@@ -7,16 +7,9 @@ import re
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
-from igtl_gateway.addon import (
-    Deadline,
-    GatewayError,
-    LimitExceeded,
-    check_limit,
-    open_file,
-    printable,
-    read_bytes,
-    write_text,
-)
+from igtl_gateway.addon import GatewayError, LimitExceeded
+from igtl_gateway.addon.untrusted import Deadline, check_limit, open_file, printable, read_bytes
+from igtl_gateway.addon.writing import write_text
 
 CHECKSUMS = "SHA256SUMS"
 _LINE = re.compile(r"([0-9a-f]{64})  (\S.*)")

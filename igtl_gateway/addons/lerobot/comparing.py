@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import GatewayError, open_recording, parquet_columns
+from igtl_gateway.addon import GatewayError
+from igtl_gateway.addon.reading import open_recording
+from igtl_gateway.addon.untrusted import parquet_columns
 from igtl_gateway.addons.lerobot.checking import check_rules, first_findings
 from igtl_gateway.addons.lerobot.checking_stats import numbers_of
 from igtl_gateway.addons.lerobot.columns import Tables, is_number, is_numeric, matrix_of

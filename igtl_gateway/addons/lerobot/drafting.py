@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.addon import NS_PER_MS, NS_PER_S, ConfigError, GatewayError, Recording, Stream
+from igtl_gateway.addon import NS_PER_MS, NS_PER_S, ConfigError, GatewayError
+from igtl_gateway.addon.reading import Recording, Stream
 from igtl_gateway.addons.lerobot.pictures import Pictures, first_pixels, has_pictures
 from igtl_gateway.addons.lerobot.recipe import ACTION, IMAGES, STATE, Feature, Recipe
 from igtl_gateway.addons.lerobot.recipe_file import toml_value

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import NS_PER_S, ConfigError, Recording, matches
+from igtl_gateway.addon import NS_PER_S, ConfigError, matches
+from igtl_gateway.addon.reading import Recording
 from igtl_gateway.addons.lerobot.recipe import Cuts, Recipe
 from igtl_gateway.addons.lerobot.samples import JoinedStreams, columns_of, stream_of
 

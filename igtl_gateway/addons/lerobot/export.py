@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from igtl_gateway.addon import open_recording
+from igtl_gateway.addon.reading import open_recording
 from igtl_gateway.addons.lerobot.card_streams import Facts, stream_facts
 from igtl_gateway.addons.lerobot.frames import Plan, build
 from igtl_gateway.addons.lerobot.recipe_file import read_recipe

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import ConfigError, GatewayError, Recording, check_limit
+from igtl_gateway.addon import ConfigError, GatewayError
+from igtl_gateway.addon.reading import Recording
+from igtl_gateway.addon.untrusted import check_limit
 from igtl_gateway.addons.lerobot.episodes import Span, longest, parts_of, spans_of
 from igtl_gateway.addons.lerobot.recipe import Feature, Recipe
 from igtl_gateway.addons.lerobot.resampling import Picks, common, coverage, frame_count, moments, pick

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
-from igtl_gateway.addon import make_folder, open_new, write_text
+from igtl_gateway.addon.writing import make_folder, open_new, write_text
 from igtl_gateway.addons.lerobot.episodes import TOLERANCE_S
 from igtl_gateway.addons.lerobot.stats import QUANTILES, Stats
 from igtl_gateway.addons.lerobot.video import VideoFile

@@ -10,7 +10,8 @@ import struct
 from collections.abc import Iterator
 from typing import IO
 
-from igtl_gateway.addon import DamagedRecording, limits
+from igtl_gateway.addon import DamagedRecording
+from igtl_gateway.addon.untrusted import limits
 
 _HEAD = struct.Struct(">I4s")
 _LARGE = struct.Struct(">Q")

@@ -12,15 +12,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import (
+from igtl_gateway.addon import ConfigError, ConversionError, GatewayError
+from igtl_gateway.addon.igtl import Video
+from igtl_gateway.addon.messages import (
     JPEG,
     MAX_PIXELS,
     PNG,
-    ConfigError,
-    ConversionError,
-    GatewayError,
-    MessageBlock,
-    Stream,
     bayer_pattern,
     coding_of,
     decoded_still,
@@ -30,10 +27,10 @@ from igtl_gateway.addon import (
     is_key_frame,
     pixel_layout,
 )
-from igtl_gateway.addon.igtl import Video
+from igtl_gateway.addon.reading import MessageBlock, Stream
 from igtl_gateway.addon.ros import CompressedImage, CompressedVideo, Volume
 from igtl_gateway.addon.ros import Image as RosImage
-from igtl_gateway.api.images import Images, find_row
+from igtl_gateway.addon.streams import Images, find_row
 
 Pixels = npt.NDArray[np.uint8]
 Array = npt.NDArray[Any]

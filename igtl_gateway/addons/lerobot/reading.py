@@ -12,11 +12,12 @@ from typing import Any
 
 import pyarrow as pa
 
-from igtl_gateway.addon import MAX_PIXELS, DamagedRecording, check_limit, parse_json, read_bytes, read_parquet
+from igtl_gateway.addon import DamagedRecording
+from igtl_gateway.addon.messages import MAX_PIXELS
+from igtl_gateway.addon.untrusted import check_limit, parse_json, read_bytes, read_parquet, shape
 from igtl_gateway.addons.lerobot.frames import MAX_FRAMES
 from igtl_gateway.addons.lerobot.layout import CHUNK, PATHS
 from igtl_gateway.addons.lerobot.recipe_file import MAX_FPS
-from igtl_gateway.base.untrusted import shape
 
 #: Numbers of a feature in a frame: none of a robot has more.
 _MAX_NUMBERS = 1 << 20

@@ -11,7 +11,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
-from igtl_gateway.addon import ConfigError, read_toml
+from igtl_gateway.addon import ConfigError
+from igtl_gateway.addon.settings import read_toml
 from igtl_gateway.addons.lerobot.recipe import (
     ACTION,
     CLOCKS,

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import NS_PER_S, joining
+from igtl_gateway.addon import NS_PER_S
+from igtl_gateway.addon.streams import pick as pick_rows
 from igtl_gateway.addons.lerobot.samples import Samples
 
 Array = npt.NDArray[Any]
@@ -92,13 +93,13 @@ def common(one: list[tuple[int, int]], two: list[tuple[int, int]]) -> list[tuple
 def pick(samples: Samples, wanted: Times) -> Picks:
     """Return the samples for moments inside of the coverage."""
     rule, most = samples.row.rule, tolerance_ns(samples)
-    last = joining.pick(samples.times, wanted, "hold").before
+    last = pick_rows(samples.times, wanted, "hold").before
     if rule == "hold":
-        found = joining.pick(samples.times, wanted, "hold", most_ns=most)
+        found = pick_rows(samples.times, wanted, "hold", most_ns=most)
     elif rule == "nearest":
-        found = joining.pick(samples.times, wanted, "nearest", most_ns=most)
+        found = pick_rows(samples.times, wanted, "nearest", most_ns=most)
     else:
-        found = joining.pick(samples.times, wanted, "interpolate", gap_ns=most)
+        found = pick_rows(samples.times, wanted, "interpolate", gap_ns=most)
     # beyond the tolerance the last sample is held, which only ``fill = "hold"`` allows
     good, held = found.good, ~found.good
     share = np.where(good, found.share, 0.0)

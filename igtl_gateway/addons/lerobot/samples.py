@@ -9,20 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import (
-    NAME_FIELDS,
-    NS_PER_S,
-    ConfigError,
-    GatewayError,
-    Recording,
-    StampCorrection,
-    Stream,
-    between_poses,
-    by_name,
-    completed,
-    one_clock,
-    quaternions_of,
-)
+from igtl_gateway.addon import NS_PER_S, ConfigError, GatewayError
+from igtl_gateway.addon.notes import StampCorrection
+from igtl_gateway.addon.reading import Recording, Stream
+from igtl_gateway.addon.streams import NAME_FIELDS, between_poses, by_name, completed, one_clock, quaternions_of
 from igtl_gateway.addons.lerobot.pictures import Pictures, has_pictures
 from igtl_gateway.addons.lerobot.recipe import Feature
 from igtl_gateway.addons.sync.lag import Lag, Verdict, measure_lag

@@ -6,21 +6,11 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import (
-    ConfigError,
-    GatewayError,
-    aligned,
-    check_target,
-    count_text,
-    extras,
-    output_file,
-    print_json,
-    print_line,
-    write_error,
-    write_text,
-    written,
-)
-from igtl_gateway.api import recording as recordings
+from igtl_gateway.addon import ConfigError, GatewayError
+from igtl_gateway.addon.processes import extras
+from igtl_gateway.addon.reading import open_recording
+from igtl_gateway.addon.terminal import aligned, count_text, output_file, print_json, print_line
+from igtl_gateway.addon.writing import check_target, write_error, write_text, written
 
 LEROBOT = "lerobot"
 LEROBOT_TEXT = "a training set by a recipe: streams at one rate, video, Parquet"
@@ -72,7 +62,7 @@ def _write_recipe(options: argparse.Namespace) -> int:
     if options.write_recipe.exists():
         raise ConfigError(f"{options.write_recipe}: exists already, expected a new file")
     check_target(options.write_recipe, overwrite=False)
-    with recordings.open(options.file) as recording:
+    with open_recording(options.file) as recording:
         text = draft(recording)
     with written(options.write_recipe) as path:
         write_text(path, text)

@@ -12,17 +12,11 @@ from typing import Any, BinaryIO
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import (
-    MAX_PIXELS,
-    DamagedRecording,
-    Unavailable,
-    deadline_of,
-    empty_file,
-    import_av,
-    make_folder,
-    open_file,
-)
-from igtl_gateway.addon import VIDEO_THREADS as THREADS
+from igtl_gateway.addon import DamagedRecording, Unavailable
+from igtl_gateway.addon.messages import MAX_PIXELS, import_av
+from igtl_gateway.addon.messages import VIDEO_THREADS as THREADS
+from igtl_gateway.addon.untrusted import deadline_of, open_file
+from igtl_gateway.addon.writing import empty_file, make_folder
 from igtl_gateway.addons.lerobot.mp4_samples import check_samples
 
 Pixels = npt.NDArray[np.uint8]

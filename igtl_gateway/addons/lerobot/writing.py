@@ -9,15 +9,9 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
-from igtl_gateway.addon import (
-    UnsupportedRecording,
-    check_folder,
-    make_folder,
-    open_new,
-    read_bytes,
-    write_bytes,
-    written_folder,
-)
+from igtl_gateway.addon import UnsupportedRecording
+from igtl_gateway.addon.untrusted import read_bytes
+from igtl_gateway.addon.writing import check_folder, make_folder, open_new, write_bytes, written_folder
 from igtl_gateway.addons.lerobot.card import write_card
 from igtl_gateway.addons.lerobot.card_streams import Facts as StreamFacts
 from igtl_gateway.addons.lerobot.checksums import write_checksums

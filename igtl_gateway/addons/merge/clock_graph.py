@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.addon import NS_PER_S
+from igtl_gateway.addon.writing import Method
 from igtl_gateway.addons.merge.offsets import ClockOffset
-from igtl_gateway.record.sessionfile.merged import Method
 
 Array = npt.NDArray[Any]
 

@@ -13,32 +13,26 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import (
-    NS_PER_S,
-    ConfigError,
-    DamagedRecording,
+from igtl_gateway.addon import NS_PER_S, ConfigError, DamagedRecording, GatewayError, UnsupportedRecording
+from igtl_gateway.addon.igtl import HEADER_SIZE
+from igtl_gateway.addon.messages import topic_token
+from igtl_gateway.addon.reading import (
     Entry,
-    GatewayError,
     Kind,
     Level,
     Mark,
     Note,
     SessionFile,
-    UnsupportedRecording,
     added_marks,
     carry_marks,
-    files,
-    is_same,
-    written,
+    stated_seals,
 )
-from igtl_gateway.addon.igtl import HEADER_SIZE
+from igtl_gateway.addon.untrusted import files, is_same
+from igtl_gateway.addon.writing import Method, written
 from igtl_gateway.addons.merge.clock_graph import Clock, clocks_of, latency_facts
 from igtl_gateway.addons.merge.crossings import Crossing, Passed, find_crossings, pooled, without_coincidences
 from igtl_gateway.addons.merge.offsets import ClockOffset, Contradiction, Piece, measure_offset
 from igtl_gateway.addons.merge.writer import MergedPart, write_merged
-from igtl_gateway.convert.names import topic_token
-from igtl_gateway.record.sessionfile.merged import Method
-from igtl_gateway.record.sessionfile.seals import stated_seals
 
 _OUTPUTS = {Kind.IGTL_OUT: b"igtl", Kind.ROS_OUT: b"ros"}
 _INPUTS = {Kind.IGTL_IN: b"igtl", Kind.ROS_IN: b"ros"}

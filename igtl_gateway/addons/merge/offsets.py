@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.addon import NS_PER_S
-from igtl_gateway.record.sessionfile.merged import Method
+from igtl_gateway.addon.writing import Method
 
 Array = npt.NDArray[Any]
 

@@ -7,31 +7,25 @@ import math
 from contextlib import ExitStack
 from pathlib import Path
 
-from igtl_gateway.addon import (
-    NS_PER_S,
-    ConfigError,
-    GatewayError,
-    SessionFile,
+from igtl_gateway.addon import NS_PER_S, ConfigError, GatewayError
+from igtl_gateway.addon.messages import topic_token
+from igtl_gateway.addon.reading import SessionFile, open_recording
+from igtl_gateway.addon.terminal import (
     add_json,
     add_output,
     add_overwrite,
-    check_target,
     count_text,
     default,
-    is_same,
     new_recording,
-    open_new,
     print_json,
     print_line,
+    print_merge,
     size_text,
-    written,
 )
+from igtl_gateway.addon.untrusted import is_same
+from igtl_gateway.addon.writing import Method, check_target, open_new, written
 from igtl_gateway.addons.merge.merging import Source, merge
 from igtl_gateway.addons.merge.offsets import ClockOffset, Piece
-from igtl_gateway.api import recording as recordings
-from igtl_gateway.cli.merge_output import print_merge
-from igtl_gateway.convert.names import topic_token
-from igtl_gateway.record.sessionfile.merged import Method
 
 EXAMPLES = """\
   # two gateways that exchange messages: the offset of their clocks is measured
@@ -141,7 +135,7 @@ def _measured(sources: list[Source], options: argparse.Namespace) -> ClockOffset
     if options.max_lag is not None and not 0 < options.max_lag < math.inf:
         raise ConfigError(f"--max-lag: found {options.max_lag:g}, expected more than 0")
     with ExitStack() as stack:
-        opened = [stack.enter_context(recordings.open(source.path)) for source in sources]
+        opened = [stack.enter_context(open_recording(source.path)) for source in sources]
         signals = [
             movement(stream_named([each], name), arrival=True) for each, name in zip(opened, options.sync, strict=True)
         ]

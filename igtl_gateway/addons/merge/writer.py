@@ -12,20 +12,9 @@ from typing import Any
 
 from mcap.records import Channel, Schema
 
-from igtl_gateway.addon import (
-    GatewayError,
-    RecordingError,
-    SessionFile,
-    __version__,
-    create_file,
-    layout,
-    os_error_text,
-)
-from igtl_gateway.record.sessionfile import merged
-from igtl_gateway.record.sessionfile.channels import SEQUENCES
-from igtl_gateway.record.sessionfile.chunks import Row
-from igtl_gateway.record.sessionfile.merged import ChannelNumbers, ChannelWriter, Digest
-from igtl_gateway.record.sessionfile.stream import McapStream
+from igtl_gateway.addon import GatewayError, RecordingError, __version__
+from igtl_gateway.addon.reading import SessionFile, layout
+from igtl_gateway.addon.writing import SEQUENCES, McapStream, Row, create_file, merged, os_error_text
 
 _MOST_NS = 1 << 63
 #: The file names no program that wrote a part: its messages have one writer.
@@ -47,7 +36,7 @@ class MergedPart:
     file: SessionFile
     to_reference: Callable[[int], int]
     facts: Mapping[str, Any]
-    digest: Digest = field(default_factory=Digest)
+    digest: merged.Digest = field(default_factory=merged.Digest)
     channels: dict[int, tuple[Channel, Channel]] = field(default_factory=dict)  # by identity: it, and here
     numbers: list[tuple[int, int, int]] = field(default_factory=list)
     count: int = 0
@@ -89,7 +78,7 @@ def _write(mcap: McapStream, parts: Sequence[MergedPart]) -> int:
             part.digest.attachment(each)
             name = merged.ATTACHMENT_OF.format(part.name) + each.name
             mcap.add_attachment(name, each.media_type, each.data, each.log_time, each.create_time)
-    numbers = ChannelNumbers(ChannelWriter(mcap).register)
+    numbers = merged.ChannelNumbers(merged.ChannelWriter(mcap).register)
     count = 0
     for time_ns, index, schema, channel, row in heapq.merge(
         *(_timed(part, index) for index, part in enumerate(parts)), key=lambda each: each[:2]

@@ -8,9 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import NS_PER_S, Child, SystemClock, is_present, part_of, python_command
+from igtl_gateway.addon import NS_PER_S, SystemClock, python_command
+from igtl_gateway.addon.processes import Child, is_present, part_of
+from igtl_gateway.addon.terminal import PROGRAM
 from igtl_gateway.addons.page.recordings import child_environment
-from igtl_gateway.cli.next_steps import PROGRAM
 
 #: Jobs at a time, jobs that are remembered, and lines of each.
 MAX_RUNNING, _MAX_KEPT, _LINES = 3, 40, 400

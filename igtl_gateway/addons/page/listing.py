@@ -13,26 +13,11 @@ from collections.abc import Set
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import (
-    LINK_DOWN,
-    LINK_UP,
-    NS_PER_S,
-    BeingRecorded,
-    GatewayError,
-    Kind,
-    Level,
-    Note,
-    SessionFile,
-    failure_text,
-    marks_of,
-)
-from igtl_gateway.app.replay_options import SIDES, Side
-from igtl_gateway.app.replay_plan import plan_replay
-from igtl_gateway.base.systems.processes import stand_back
-from igtl_gateway.base.systems.signals import ignore_endings
-from igtl_gateway.record.sessionfile.seals import stated_seals
-from igtl_gateway.record.triggers import LOSSES
-from igtl_gateway.record.worker import PAUSED, RESUMED
+from igtl_gateway.addon import NS_PER_S, BeingRecorded, GatewayError, failure_text
+from igtl_gateway.addon.live import REPLAY_SIDES, ReplaySide, plan_replay
+from igtl_gateway.addon.notes import LINK_DOWN, LINK_UP, LOSSES, PAUSED, RESUMED
+from igtl_gateway.addon.processes import ignore_endings, stand_back
+from igtl_gateway.addon.reading import Kind, Level, Note, SessionFile, marks_of, stated_seals
 
 #: Code of the note of messages that a slow peer did not get; those of an episode are no further apart than this, in
 #: seconds; streams that are named.
@@ -60,7 +45,7 @@ def facts_of(path: Path) -> dict[str, Any]:
                 "closed": True,
                 "marks": [mark.to_dict(file.start_ns) for mark in marks[:MAX_MARKS]],
                 "marked": len(marks),
-                "sends": {f"{to} {side}".strip(): _sends(file, to, side) for to in _SIDES for side in SIDES},
+                "sends": {f"{to} {side}".strip(): _sends(file, to, side) for to in _SIDES for side in REPLAY_SIDES},
             }
     except BeingRecorded:
         return {"closed": False, "recording": True, "problem": "is being recorded"}
@@ -75,7 +60,7 @@ def facts_of(path: Path) -> dict[str, Any]:
     return found
 
 
-def _sends(file: SessionFile, to: str, side: Side) -> dict[str, Any]:
+def _sends(file: SessionFile, to: str, side: ReplaySide) -> dict[str, Any]:
     """Return what a replay sends to a target: names and number of streams, and why; and of those that it does not."""
     how = plan_replay(file, to, recompute=False, side=side)
     kinds = how.kinds | (_SIDES[to] if how.recompute else set())

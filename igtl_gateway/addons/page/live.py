@@ -19,27 +19,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 from urllib.parse import parse_qs, urlsplit
 
-from igtl_gateway.addon import (
-    NS_PER_S,
-    Acceptance,
-    Child,
-    Entry,
-    GatewayError,
-    Kind,
-    Level,
-    MarkNote,
-    Note,
-    SystemClock,
-    WireError,
-    python_command,
-)
+from igtl_gateway.addon import NS_PER_S, GatewayError, SystemClock, WireError, python_command
+from igtl_gateway.addon.live import RECORDING_ACTIONS, Handler, LocalServer
+from igtl_gateway.addon.processes import Child
+from igtl_gateway.addon.reading import Entry, Kind, Level, MarkNote, Note
+from igtl_gateway.addon.settings import Acceptance
 from igtl_gateway.addons.page.sample import sample_of
-from igtl_gateway.app.recording import pause, resume, snapshot, split, start, stop
-from igtl_gateway.edges.tcp.http_server import Handler, LocalServer
 
 if TYPE_CHECKING:
-    from igtl_gateway.app.bridge import Bridge
-    from igtl_gateway.app.note_rate import Event
+    from igtl_gateway.addon.live import Bridge, NoteEvent
 
 _COMMAND = python_command("igtl_gateway.addons.page.process")
 #: Code of the notes about the page: what was pressed, and that its process has ended.
@@ -196,7 +184,7 @@ class BridgePage:
                 return b""
         return data
 
-    def update(self, session: RunningSession | None, events: Sequence[Event] = ()) -> None:
+    def update(self, session: RunningSession | None, events: Sequence[NoteEvent] = ()) -> None:
         """Take the session that runs now, and its notes since the last call.  Twice a second, after its ``collect``."""
         self._at_ns = now_ns = self._clock.monotonic_ns()
         is_due = bool(events) or now_ns - self._sampled_ns >= _SAMPLE_NS
@@ -299,9 +287,9 @@ class BridgePage:
             bridge.hub.note(Note(Level.INFO, PAGE, "the end of the bridge was pressed on the page"))
             self._on_stop()
             return True, "the bridge ends and closes the recording"
-        action = _ACTIONS.get(what)
+        action = RECORDING_ACTIONS.get(what)
         if action is None:
-            return False, f"found {what[:40]!r}, expected one of mark, end, {', '.join(_ACTIONS)}"
+            return False, f"found {what[:40]!r}, expected one of mark, end, {', '.join(RECORDING_ACTIONS)}"
         if bridge.recorder is None:
             return False, "there is no recording; start the bridge with --record FILE"
         bridge.hub.note(Note(Level.INFO, PAGE, f"{what} was pressed on the page"))
@@ -315,9 +303,6 @@ class BridgePage:
             self._why = str(found.get("why", self._why))
         except (ValueError, KeyError, TypeError, AttributeError):
             return  # a line that was cut off
-
-
-_ACTIONS = {"start": start, "stop": stop, "pause": pause, "resume": resume, "snapshot": snapshot, "split": split}
 
 
 def _recording(bridge: Bridge) -> dict[str, Any] | None:

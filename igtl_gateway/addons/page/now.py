@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 from igtl_gateway.addon import NS_PER_S
+from igtl_gateway.addon.notes import HARMLESS
 from igtl_gateway.addons.page.left import Left
 from igtl_gateway.addons.page.rhythm import Rhythm
 from igtl_gateway.addons.page.sample import rows_of
@@ -27,7 +28,6 @@ from igtl_gateway.addons.page.trouble import (
     short,
     stream_trouble,
 )
-from igtl_gateway.gateway.diagnostics import HARMLESS
 
 _ORDER = {state: number for number, state in enumerate((ERROR, SILENT, WARNING, WAITING, OK))}
 #: Streams from which on one of them can be the slowest, and peers from which on their counts are a sum.

@@ -14,7 +14,10 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import NS_PER_S, GatewayError, SystemClock, __version__, ago_ns, failure_text
+from igtl_gateway.addon import NS_PER_S, GatewayError, SystemClock, __version__, failure_text
+from igtl_gateway.addon.live import TlsFiles
+from igtl_gateway.addon.processes import ignore_endings, stand_back
+from igtl_gateway.addon.reading import ago_ns
 from igtl_gateway.addons.page.disk import DiskLook
 from igtl_gateway.addons.page.jobs import CANCELLED, RUNNING, Job, Jobs
 from igtl_gateway.addons.page.now import Now, headline, others, slowest, with_names, wrong_things
@@ -23,9 +26,6 @@ from igtl_gateway.addons.page.replays import Replay
 from igtl_gateway.addons.page.results import Results, keep_newest
 from igtl_gateway.addons.page.server import PageServer
 from igtl_gateway.addons.page.source import BridgeSource, Poller
-from igtl_gateway.base.systems.processes import stand_back
-from igtl_gateway.base.systems.signals import ignore_endings
-from igtl_gateway.edges.tcp.tls import TlsFiles
 
 #: Actions that are the bridge's.
 _BRIDGE = ("start", "stop", "pause", "resume", "mark", "snapshot", "split", "end")

@@ -11,7 +11,9 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import NS_PER_S, Child, SystemClock, marks_files, python_command
+from igtl_gateway.addon import NS_PER_S, SystemClock, python_command
+from igtl_gateway.addon.processes import Child
+from igtl_gateway.addon.reading import marks_files
 from igtl_gateway.addons.page.results import keep_newest
 
 _COMMAND = python_command("igtl_gateway.addons.page.listing")

@@ -15,13 +15,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import NS_PER_S, GatewayError, SessionFile, SystemClock, failure_text, report_facts
+from igtl_gateway.addon import NS_PER_S, GatewayError, SystemClock, failure_text
+from igtl_gateway.addon.live import REPLAY_SETTINGS, Player, ReplayEvents, ReplayOptions, ReplaySides, run_replay
+from igtl_gateway.addon.processes import ignore_endings, report_facts
+from igtl_gateway.addon.reading import SessionFile
 from igtl_gateway.addons.page.rhythm import Rhythm
-from igtl_gateway.app.player import Player
-from igtl_gateway.app.replay_options import REPLAY, ReplayOptions
-from igtl_gateway.app.replay_sides import ReplaySides
-from igtl_gateway.app.replaying import ReplayEvents, run_replay
-from igtl_gateway.base.systems.signals import ignore_endings
 
 _STATE_S = 0.2
 
@@ -49,7 +47,7 @@ class _Replay:
         given |= {"wait_peers": 0, "start_paused": True}
         events = ReplayEvents(on_line=self._say, controls=self._controls)
         try:
-            how = ReplayOptions.of({row.name: row.default for row in REPLAY} | given)
+            how = ReplayOptions.of({row.name: row.default for row in REPLAY_SETTINGS} | given)
             result = run_replay(Path(self._settings["file"]), how, self._stop, events)
         except GatewayError as error:
             report_facts({"line": f"! {failure_text(error)}", "failed": True})

@@ -9,10 +9,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import NS_PER_S, Child, ConfigError, SystemClock, python_command
+from igtl_gateway.addon import NS_PER_S, ConfigError, SystemClock, python_command
+from igtl_gateway.addon.live import REPLAY_SIDES
+from igtl_gateway.addon.processes import Child
+from igtl_gateway.addon.settings import address
 from igtl_gateway.addons.page.recordings import child_environment
-from igtl_gateway.app.replay_options import SIDES
-from igtl_gateway.config.notations import address
 
 _COMMAND = python_command("igtl_gateway.addons.page.replaying")
 _LINES = 50
@@ -53,8 +54,8 @@ class Replay:
         try:
             if to not in _TARGETS or role not in ("listen", "connect"):
                 raise ConfigError(f"found {to[:20]!r} and {role[:20]!r}, expected a target and listen or connect")
-            if side not in SIDES:
-                raise ConfigError(f"side: found {side[:20]!r}, expected one of {', '.join(filter(None, SIDES))}")
+            if side not in REPLAY_SIDES:
+                raise ConfigError(f"side: found {side[:20]!r}, expected one of {', '.join(filter(None, REPLAY_SIDES))}")
             place = str(how.get("address") or "127.0.0.1:18944")
             address(place)
             rate, from_s = float(how.get("rate") or 1), float(how.get("from_s") or 0)

@@ -13,7 +13,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import GatewayError, open_file, parse_json, write_text, written
+from igtl_gateway.addon import GatewayError
+from igtl_gateway.addon.untrusted import open_file, parse_json
+from igtl_gateway.addon.writing import write_text, written
 
 NAME = ".igtl-gateway-page.json"
 #: Bytes that are read, and recordings with results.

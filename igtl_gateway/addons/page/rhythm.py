@@ -10,7 +10,7 @@ from collections import deque
 from statistics import median
 
 from igtl_gateway.addon import NS_PER_S
-from igtl_gateway.gateway.diagnostics import RHYTHM_HZ, SILENT_NS
+from igtl_gateway.addon.live import RHYTHM_HZ, SILENT_NS
 
 #: Seconds of a sparkline, one value each: the last minute.
 SPARK_S = 60

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from igtl_gateway.addon import __version__
 
 if TYPE_CHECKING:
-    from igtl_gateway.app.bridge import Bridge
+    from igtl_gateway.addon.live import Bridge
 
 #: Directions of the ledger that are shown.
 SIDES = ("igtl_in", "ros_in", "igtl_out", "ros_out")

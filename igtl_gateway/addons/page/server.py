@@ -16,10 +16,10 @@ from importlib.resources import files
 from typing import Any, Protocol
 from urllib.parse import parse_qs, urlsplit
 
-from igtl_gateway.addon import WireError, whole_number
+from igtl_gateway.addon import WireError
+from igtl_gateway.addon.live import Handler, LocalServer, TlsFiles
+from igtl_gateway.addon.untrusted import whole_number
 from igtl_gateway.addons.page.pictures import small_png
-from igtl_gateway.edges.tcp.http_server import Handler, LocalServer
-from igtl_gateway.edges.tcp.tls import TlsFiles
 
 #: Longest time of a request: a snapshot of half a gigabyte on a slow disk.
 _DEADLINE_S = 90.0

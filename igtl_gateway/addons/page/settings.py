@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from igtl_gateway.addon import HOST, Setting, grouped
-from igtl_gateway.config.notations import address
+from igtl_gateway.addon.settings import HOST, Setting, address, grouped
 
 SETTINGS = grouped(
     "diagnostics",

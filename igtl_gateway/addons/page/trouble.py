@@ -9,10 +9,9 @@ from statistics import median_low
 from typing import Any
 
 from igtl_gateway.addon import NS_PER_S
+from igtl_gateway.addon.checking import RULES
+from igtl_gateway.addon.notes import DROPPED, HARMLESS
 from igtl_gateway.addons.page.rhythm import Rhythm
-from igtl_gateway.doctor.rules import RULES
-from igtl_gateway.gateway.diagnostics import HARMLESS
-from igtl_gateway.gateway.log.fates import DROPPED
 
 #: States, the worst first: each has a word, a shape and a colour on the page.
 ERROR, SILENT, WARNING, WAITING, OK = "error", "silent", "warning", "waiting", "ok"

@@ -5,16 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from igtl_gateway.addon import (
-    ConfigError,
-    Setting,
-    add_settings,
-    print_line,
-    stop_event,
-    values_with_effect,
-)
+from igtl_gateway.addon import ConfigError
+from igtl_gateway.addon.settings import Setting, add_settings, address, values_with_effect
+from igtl_gateway.addon.terminal import print_line, stop_event
 from igtl_gateway.addons.page.process import Page, serve
-from igtl_gateway.config.notations import address
 
 EXAMPLES = """\
   # list, verify, review, export and replay the recordings here

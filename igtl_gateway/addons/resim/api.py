@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 
-from igtl_gateway.addon import NS_PER_MS, NS_PER_S, ConfigError, SessionFile
+from igtl_gateway.addon import NS_PER_MS, NS_PER_S, ConfigError
+from igtl_gateway.addon.checking import Tolerance
+from igtl_gateway.addon.reading import SessionFile
 from igtl_gateway.addons.resim.engine import MOST_DELAY_S, Clocks, Program, ResimOptions, RunResult, run
 from igtl_gateway.addons.resim.judge import judge
 from igtl_gateway.addons.resim.recipe import command_of
 from igtl_gateway.addons.resim.report import report_lines
 from igtl_gateway.addons.resim.verdict import Difference, Verdict
-from igtl_gateway.replay.compare import Tolerance
 
 #: A command as in a shell, its words, or with name, environment and folder.
 AnyProgram = str | Sequence[str] | Program

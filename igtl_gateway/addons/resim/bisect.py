@@ -15,12 +15,12 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
-from igtl_gateway.addon import ConfigError, Unavailable, make_folder
+from igtl_gateway.addon import ConfigError, Unavailable
+from igtl_gateway.addon.checking import EXACT, Tolerance
+from igtl_gateway.addon.processes import KILL, Child, end_session
+from igtl_gateway.addon.writing import make_folder
 from igtl_gateway.addons.resim.engine import Program, ResimOptions, run
 from igtl_gateway.addons.resim.verdict import Verdict, compare
-from igtl_gateway.base.child import Child
-from igtl_gateway.base.systems.processes import KILL, end_session
-from igtl_gateway.replay.compare import EXACT, Tolerance
 
 GOOD, BAD, SKIP = "good", "bad", "skip"
 _FIRST_BAD, _POSSIBLE = "# first bad commit: [", "# possible first bad commit: ["

@@ -17,14 +17,15 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from igtl_gateway.addon import GatewayError, Qos, count_text
+from igtl_gateway.addon import GatewayError
+from igtl_gateway.addon.reading import Qos, incompatible
+from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addons.resim import frames
 from igtl_gateway.addons.resim.frames import ALL, DEADLINE, MESSAGE, NEVER, EntityFrame
 from igtl_gateway.addons.resim.inputs import CLOCK, Inputs, RecordedInput, RecordedTopic
 from igtl_gateway.addons.resim.link import AnyLink, Gone
 from igtl_gateway.addons.resim.outputs import OutputFile, OutputStream
 from igtl_gateway.addons.resim.services import RecordedService
-from igtl_gateway.base.qos import incompatible
 
 #: Messages and bytes that are sent to a program at once.
 _BATCH, _BATCH_BYTES = 512, 1 << 20

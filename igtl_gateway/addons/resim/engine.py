@@ -19,16 +19,9 @@ from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 
-from igtl_gateway.addon import (
-    ConfigError,
-    SessionFile,
-    SystemClock,
-    did_you_mean,
-    matches,
-    near_names,
-    unmatched,
-    without_match,
-)
+from igtl_gateway.addon import ConfigError, SystemClock, did_you_mean, matches, near_names, unmatched, without_match
+from igtl_gateway.addon.processes import endings_held
+from igtl_gateway.addon.reading import SessionFile
 from igtl_gateway.addons.resim.coordinator import Coordinator, Lost, Peer, ProgramFault, Roles
 from igtl_gateway.addons.resim.frames import ABI_VERSION, DEADLINE, INPUT, NEVER, Hello, Remark, welcome
 from igtl_gateway.addons.resim.goals import IN_ACTION
@@ -56,7 +49,6 @@ from igtl_gateway.addons.resim.processes import (
     notes,
 )
 from igtl_gateway.addons.resim.services import recorded_services
-from igtl_gateway.base.systems.signals import endings_held
 
 #: Nothing traces the program, so it does not wait for LTTng.
 _ENVIRONMENT = {"LTTNG_UST_REGISTER_TIMEOUT": "0"}

@@ -18,8 +18,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
-from igtl_gateway.addon import ConfigError, GatewayError, Kind, Qos, SessionFile, SystemClock
+from igtl_gateway.addon import ConfigError, GatewayError, SystemClock
 from igtl_gateway.addon.igtl import HEADER_SIZE, HEADER_VERSIONS, Framer, Header, crc64, visible
+from igtl_gateway.addon.reading import Kind, Qos, SessionFile
 from igtl_gateway.addons.resim import frames
 from igtl_gateway.addons.resim.coordinator import ProgramFault
 from igtl_gateway.addons.resim.frames import DEADLINE, NEVER, EntityFrame, Idle, Published

@@ -7,7 +7,8 @@ from collections import deque
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
-from igtl_gateway.addon import NS_PER_S, Kind, Qos, SessionFile
+from igtl_gateway.addon import NS_PER_S
+from igtl_gateway.addon.reading import Kind, Qos, SessionFile
 from igtl_gateway.addons.resim.frames import NEVER
 
 _ROS = frozenset({Kind.ROS_IN, Kind.ROS_OUT})

@@ -9,11 +9,11 @@ import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from igtl_gateway.addon.checking import Tolerance
 from igtl_gateway.addons.resim.causes import likely_cause
 from igtl_gateway.addons.resim.engine import Program, ResimOptions, RunResult
 from igtl_gateway.addons.resim.races import find_race
 from igtl_gateway.addons.resim.verdict import Verdict, compare
-from igtl_gateway.replay.compare import Tolerance
 
 
 def judge(

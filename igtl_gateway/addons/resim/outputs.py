@@ -8,7 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from igtl_gateway.addon import Config, Definition, Entry, Kind, Qos, SessionWriter, __version__
+from igtl_gateway.addon import __version__
+from igtl_gateway.addon.reading import Entry, Kind, Qos
+from igtl_gateway.addon.settings import Config
+from igtl_gateway.addon.writing import Definition, SessionWriter
 from igtl_gateway.addons.resim.goals import numbering
 from igtl_gateway.addons.resim.unread import Digest, ledger_of
 

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from igtl_gateway.addon import ConfigError
-from igtl_gateway.base.child import Child
-from igtl_gateway.base.systems.processes import KILL, end_session, ticks_per_second
+from igtl_gateway.addon.processes import KILL, Child, end_session, ticks_per_second
 
 #: What Python writes before an exception that nothing catches, and its exit code then.
 _TRACEBACK, _UNCAUGHT = "Traceback (most recent call last):", 1

@@ -20,7 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.addon import Kind, SessionFile, make_folder
+from igtl_gateway.addon.reading import Kind, SessionFile
+from igtl_gateway.addon.writing import make_folder
 from igtl_gateway.addons.resim.engine import Program, ResimOptions, RunResult, run
 from igtl_gateway.addons.resim.inputs import CLOCK
 from igtl_gateway.addons.resim.verdict import Difference, Race, first_at_one_time, is_judged

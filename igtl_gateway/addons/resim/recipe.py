@@ -24,7 +24,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import ConfigError, read_toml
+from igtl_gateway.addon import ConfigError
+from igtl_gateway.addon.settings import read_toml
 from igtl_gateway.addons.resim.engine import Program
 from igtl_gateway.addons.resim.igtl_peer import IgtlRole, check_role
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from xml.etree import ElementTree
 
-from igtl_gateway.addon import count_text, printable
+from igtl_gateway.addon.terminal import count_text
+from igtl_gateway.addon.untrusted import printable
 from igtl_gateway.addons.resim.engine import RunResult
 from igtl_gateway.addons.resim.verdict import StreamVerdict, Verdict, is_judged
 

@@ -10,8 +10,8 @@ from collections import deque
 from collections.abc import Hashable, Iterator
 from dataclasses import dataclass
 
-from igtl_gateway.addon import Entry, Kind, SessionFile
-from igtl_gateway.replay.compare import ElementArray, LeafDecoder, Undecodable
+from igtl_gateway.addon.checking import ElementArray, LeafDecoder, Undecodable
+from igtl_gateway.addon.reading import Entry, Kind, SessionFile
 
 _SUFFIX = "/_service_event"
 # kind of event, seconds, nanoseconds, client, number of the request; then both contents, each as a sequence of 0 or 1

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from igtl_gateway.addon import SessionFile
+from igtl_gateway.addon.reading import SessionFile
 
 _KEY = "resim_streams"
 

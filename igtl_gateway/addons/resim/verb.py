@@ -11,26 +11,24 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import (
+from igtl_gateway.addon import ConfigError
+from igtl_gateway.addon.checking import Tolerance
+from igtl_gateway.addon.reading import SessionFile
+from igtl_gateway.addon.terminal import (
     RECORDING_OR_BAG,
-    ConfigError,
-    SessionFile,
     add_file,
     add_json,
     add_overwrite,
     aligned,
-    check_target,
     count_text,
     default,
-    is_same,
     new_recording,
-    open_new,
     output_file,
     print_json,
     print_line,
-    write_bytes,
-    written,
 )
+from igtl_gateway.addon.untrusted import is_same
+from igtl_gateway.addon.writing import check_target, open_new, write_bytes, written
 from igtl_gateway.addons.resim.bisect import Step, bisect, bisection_facts
 from igtl_gateway.addons.resim.causes import MOST_S
 from igtl_gateway.addons.resim.coordinator import Roles
@@ -41,7 +39,6 @@ from igtl_gateway.addons.resim.judge import judge
 from igtl_gateway.addons.resim.recipe import read_recipe
 from igtl_gateway.addons.resim.report import junit_xml
 from igtl_gateway.addons.resim.verdict import StreamVerdict, Verdict, is_judged
-from igtl_gateway.replay.compare import Tolerance
 
 EXAMPLES = """\
   # three runs, compared with each other and with what the recording has

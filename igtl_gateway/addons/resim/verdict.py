@@ -17,14 +17,25 @@ from math import inf, isfinite, isnan
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import Entry, Kind, Qos, SessionFile, matches, recorded_units
+from igtl_gateway.addon import matches
+from igtl_gateway.addon.checking import (
+    EXACT,
+    Delta,
+    DiffInput,
+    LeafDecoder,
+    StreamDiff,
+    Tolerance,
+    Undecodable,
+    compare_values,
+    diff,
+    first_byte,
+)
+from igtl_gateway.addon.reading import Entry, Kind, Qos, SessionFile, recorded_units
 from igtl_gateway.addons.resim.coordinator import Roles
 from igtl_gateway.addons.resim.engine import Run, RunResult
 from igtl_gateway.addons.resim.goals import numbering
 from igtl_gateway.addons.resim.outputs import OF_EVERY_NODE
 from igtl_gateway.addons.resim.unread import Digest, unread_streams
-from igtl_gateway.replay.compare import EXACT, Delta, LeafDecoder, Tolerance, Undecodable, compare_values, first_byte
-from igtl_gateway.replay.diff import DiffInput, StreamDiff, diff
 
 #: Key of the session metadata of a run's outputs.
 _RESIM_KEY = "resim_of"

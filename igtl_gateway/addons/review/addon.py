@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from igtl_gateway.addon import Verb
-from igtl_gateway.cli.verbs import INSPECT
+from igtl_gateway.addon.terminal import INSPECT, Verb
 
 #: Begins of the errors of a recording that has nothing to review, for programs that run the verb.
 NOTHING = NO_CLOUD, NO_PLAN = "found no point cloud", "found no suture plan"

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import fields
 
+from igtl_gateway.addon.reading import AnyRecording, session_of
 from igtl_gateway.addons.review import Review, Thresholds
 from igtl_gateway.addons.review.material import CLOUDS
 from igtl_gateway.addons.review.recorded import ReviewSelection, checked_thresholds, review_session
-from igtl_gateway.api.recording import session_of
-from igtl_gateway.api.verbs import AnyRecording
 
 
 def review(

@@ -16,20 +16,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import (
+from igtl_gateway.addon import NS_PER_S, ConversionError
+from igtl_gateway.addon.messages import Pose, frame_id
+from igtl_gateway.addon.streams import (
     END_NS,
     GAP_NS,
-    NS_PER_S,
-    ConversionError,
     OneClock,
-    Pose,
     StreamTimes,
     between_poses,
     matrices_of,
     one_clock,
     pick,
 )
-from igtl_gateway.convert.frames import frame_id
 
 Array = npt.NDArray[Any]
 

@@ -17,23 +17,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import (
-    NS_PER_S,
-    ConfigError,
-    ConversionError,
-    Entry,
-    GatewayError,
-    Kind,
-    StreamTimes,
-    did_you_mean,
-    near_streams,
-)
+from igtl_gateway.addon import NS_PER_S, ConfigError, ConversionError, GatewayError, did_you_mean, near_streams
+from igtl_gateway.addon.messages import frame_id
+from igtl_gateway.addon.reading import Entry, Kind
 from igtl_gateway.addon.ros import PointCloud2
+from igtl_gateway.addon.streams import StreamTimes
 from igtl_gateway.addons.review.addon import NO_CLOUD, NO_PLAN
 from igtl_gateway.addons.review.frames import FramePoses
 from igtl_gateway.addons.review.messages import PLANS, POSES, DrawnPlan, cloud_of, is_large_cloud, plan_of, poses_of
 from igtl_gateway.addons.review.scene import DepthCloud, DepthScene
-from igtl_gateway.convert.frames import frame_id
 
 Array = npt.NDArray[Any]
 

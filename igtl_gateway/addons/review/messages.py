@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import Buffer, ConversionError, Entry, Pose, rotation_matrix, unit_quaternion
+from igtl_gateway.addon import ConversionError
 from igtl_gateway.addon.igtl import ENTRY_AND_TARGET
+from igtl_gateway.addon.messages import Pose, rotation_matrix, unit_quaternion
+from igtl_gateway.addon.reading import Buffer, Entry
 from igtl_gateway.addon.ros import (
     POINT_FIELD_DTYPES,
     Marker,

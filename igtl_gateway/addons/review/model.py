@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import numpy.typing as npt
 
-from igtl_gateway.addon import Setting
+from igtl_gateway.addon.settings import Setting
 
 T = TypeVar("T")
 Array = npt.NDArray[Any]

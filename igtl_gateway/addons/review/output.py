@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.addon import cell, count_text, is_terminal, open_text, print_line, width, written
+from igtl_gateway.addon.terminal import cell, count_text, is_terminal, print_line, width
+from igtl_gateway.addon.writing import open_text, written
 from igtl_gateway.addons.review import EndReview, Level, PlanReview, Review, StitchReview
 
 _COLOURS = {Level.OK: "32", Level.LOOK: "33", Level.WRONG: "1;31"}

@@ -7,17 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from igtl_gateway.addon import (
-    ConfigError,
-    GatewayError,
-    Mark,
-    RecordedStamps,
-    SessionFile,
-    config_to_run,
-    marks_of,
-    scale,
-    with_state,
-)
+from igtl_gateway.addon import ConfigError, GatewayError
+from igtl_gateway.addon.messages import scale
+from igtl_gateway.addon.reading import Mark, RecordedStamps, SessionFile, config_to_run, marks_of, with_state
 from igtl_gateway.addons.review import Material, Review, StitchReview, Thresholds, review_of
 from igtl_gateway.addons.review.material import CLOUDS
 from igtl_gateway.addons.review.model import option

@@ -6,17 +6,8 @@ import argparse
 from dataclasses import fields
 from pathlib import Path
 
-from igtl_gateway.addon import (
-    RECORDING_OR_BAG,
-    Setting,
-    add_file,
-    add_settings,
-    command,
-    file_name,
-    print_json,
-    print_next,
-    values_with_effect,
-)
+from igtl_gateway.addon.settings import Setting, add_settings, values_with_effect
+from igtl_gateway.addon.terminal import RECORDING_OR_BAG, add_file, command, file_name, print_json, print_next
 from igtl_gateway.addons.review import Thresholds
 from igtl_gateway.addons.review.model import rows_of
 from igtl_gateway.addons.review.output import print_review, review_facts, write_csv

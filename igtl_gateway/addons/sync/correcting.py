@@ -7,21 +7,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from igtl_gateway.addon import (
-    CORRECTIONS,
-    IMPORTED,
-    GatewayError,
-    Qos,
-    RecordedStamps,
-    SessionFile,
-    SessionWriter,
-    StampCorrection,
-    UnsupportedRecording,
-    __version__,
-    layout,
-    verify_recording,
-    written,
-)
+from igtl_gateway.addon import GatewayError, UnsupportedRecording, __version__
+from igtl_gateway.addon.checking import IMPORTED, verify_recording
+from igtl_gateway.addon.notes import CORRECTIONS, StampCorrection
+from igtl_gateway.addon.reading import Qos, RecordedStamps, SessionFile, layout
+from igtl_gateway.addon.writing import SessionWriter, written
 from igtl_gateway.addons.sync.correction import corrected
 
 

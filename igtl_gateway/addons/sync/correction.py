@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
-from igtl_gateway.addon import Entry, Kind, StampCorrection
+from igtl_gateway.addon.notes import StampCorrection
+from igtl_gateway.addon.reading import Entry, Kind
 from igtl_gateway.addons.sync.lag import Lag
 
 #: What may remain of a lag: this, or this part of the half width of its interval.  Other samples are compared again.

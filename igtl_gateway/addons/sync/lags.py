@@ -9,20 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import (
-    NAME_FIELDS,
-    NS_PER_S,
-    ConfigError,
-    GatewayError,
-    Kind,
-    RecordedMessage,
-    Stream,
-    by_name,
-    completed,
-    frames_of,
-)
+from igtl_gateway.addon import NS_PER_S, ConfigError, GatewayError
+from igtl_gateway.addon.messages import frames_of
+from igtl_gateway.addon.reading import Kind, RecordedMessage, Stream
 from igtl_gateway.addon.ros import Image as RosImage
 from igtl_gateway.addon.ros import Marker, PointCloud2, PointList, PointStamped, TFMessage, Volume
+from igtl_gateway.addon.streams import NAME_FIELDS, by_name, completed
 from igtl_gateway.addons.sync.defaults import CUT_OFF_HZ
 from igtl_gateway.addons.sync.lag import Lag, measure_lag, measure_together
 from igtl_gateway.addons.sync.plus import line_height

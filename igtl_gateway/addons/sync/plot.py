@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from igtl_gateway.addon import NS_PER_S, ViewerError, missing
+from igtl_gateway.addon import NS_PER_S, ViewerError
+from igtl_gateway.addon.processes import missing
 from igtl_gateway.addons.sync.curves import lag_curves, lag_text
 from igtl_gateway.addons.sync.lag import Lag
 from igtl_gateway.addons.sync.signal import Signal

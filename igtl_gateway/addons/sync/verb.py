@@ -11,30 +11,22 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import (
-    NS_PER_S,
-    ConfigError,
-    GatewayError,
-    Kind,
-    Recording,
-    StampCorrection,
-    Stream,
+from igtl_gateway.addon import NS_PER_S, ConfigError, GatewayError, did_you_mean, near_streams
+from igtl_gateway.addon.notes import StampCorrection
+from igtl_gateway.addon.reading import Kind, Recording, Stream, open_recording
+from igtl_gateway.addon.terminal import (
     add_file,
     add_json,
     add_output,
     add_overwrite,
     aligned,
-    check_target,
     default,
-    did_you_mean,
-    near_streams,
     new_recording,
     output_file,
     print_json,
     print_line,
-    write_text,
-    written,
 )
+from igtl_gateway.addon.writing import check_target, write_text, written
 from igtl_gateway.addons.sync import plot
 from igtl_gateway.addons.sync.correcting import write_corrected
 from igtl_gateway.addons.sync.correction import is_corrected
@@ -43,7 +35,6 @@ from igtl_gateway.addons.sync.defaults import CUT_OFF_HZ, MAX_LAG_S
 from igtl_gateway.addons.sync.lag import Lag, Pair, Verdict, measure_lag, measure_together
 from igtl_gateway.addons.sync.lags import POSES_BY_NAME, TRACKING, movement, movements, tools
 from igtl_gateway.addons.sync.signal import Signal
-from igtl_gateway.api import recording as recordings
 
 EXAMPLES = """\
   # how late is each stream against the first one?
@@ -117,7 +108,7 @@ def run(options: argparse.Namespace) -> int:
     _check(options)
     with ExitStack() as stack:
         opened = [
-            stack.enter_context(recordings.open(path)) for path in (options.file, options.other) if path is not None
+            stack.enter_context(open_recording(path)) for path in (options.file, options.other) if path is not None
         ]
         signals = _signals(opened, options)
         pairs = _pairs(opened, options)
@@ -346,7 +337,7 @@ def _apply(
     found: list[Lag] = []
 
     def check(path: Path) -> None:
-        with recordings.open(path) as recording:
+        with open_recording(path) as recording:
             again, others = _signals([recording], options), _pairs([recording], options)
         found.append(_measure(again[0], again[1], others, options))
         if not is_corrected(lag, found[0]):
@@ -356,7 +347,7 @@ def _apply(
             )
 
     corrections = {}
-    with recordings.open(options.file) as recording:
+    with open_recording(options.file) as recording:
         for one, other in ((fixed, moving), *pairs):
             stream = recording[other.name]
             if not Kind(stream.direction).is_input:

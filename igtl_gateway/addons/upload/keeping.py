@@ -7,17 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import (
-    NS_PER_S,
-    Note,
-    Setting,
-    SystemClock,
-    count_text,
-    print_json,
-    print_line,
-    size_text,
-    stop_event,
-)
+from igtl_gateway.addon import NS_PER_S, SystemClock
+from igtl_gateway.addon.reading import Note
+from igtl_gateway.addon.settings import Setting
+from igtl_gateway.addon.terminal import count_text, print_json, print_line, size_text, stop_event
 from igtl_gateway.addons.upload.place import upload_place
 from igtl_gateway.addons.upload.settings import SETTINGS
 from igtl_gateway.addons.upload.uploading import CONFIRMED, Uploader

@@ -11,7 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import Child, Level, Note, python_command
+from igtl_gateway.addon import python_command
+from igtl_gateway.addon.processes import Child
+from igtl_gateway.addon.reading import Level, Note
 from igtl_gateway.addons.upload.place import UploadPlace
 from igtl_gateway.addons.upload.upload_process import END_S
 from igtl_gateway.addons.upload.uploading import WAITS

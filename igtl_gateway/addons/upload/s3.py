@@ -26,7 +26,8 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import quote, urlsplit
 
-from igtl_gateway.addon import NS_PER_S, Clock, ConfigError, UnsupportedRecording, open_file, printable, whole_number
+from igtl_gateway.addon import NS_PER_S, Clock, ConfigError, UnsupportedRecording
+from igtl_gateway.addon.untrusted import open_file, printable, whole_number
 from igtl_gateway.addons.upload.place import UploadPlace
 
 #: Longest wait for a step of a connection, seconds.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from igtl_gateway.addon import RECORD, Setting, grouped
+from igtl_gateway.addon.settings import RECORD, Setting, grouped
 from igtl_gateway.addons.upload.place import upload_place
 
 SETTINGS = grouped(

@@ -15,11 +15,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import NS_PER_S, ConfigError, Level, Note, SystemClock, report_facts
+from igtl_gateway.addon import NS_PER_S, ConfigError, SystemClock
+from igtl_gateway.addon.processes import ignore_endings, report_facts, stand_back
+from igtl_gateway.addon.reading import Level, Note
 from igtl_gateway.addons.upload.place import upload_place
 from igtl_gateway.addons.upload.uploading import WAITS, Uploader
-from igtl_gateway.base.systems.processes import stand_back
-from igtl_gateway.base.systems.signals import ignore_endings
 
 #: Time between two looks at the folder, seconds.
 _LOOK_S = 1.0

@@ -16,11 +16,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from igtl_gateway.addon import NS_PER_S, Clock, Level, Note, os_error_text
+from igtl_gateway.addon import NS_PER_S, Clock
+from igtl_gateway.addon.reading import (
+    FileState,
+    Level,
+    Note,
+    RecordingFolder,
+    StoredRecording,
+    UploadState,
+    UploadStates,
+    file_identity,
+    is_of_recording,
+    open_unlinked,
+    recording_name,
+)
+from igtl_gateway.addon.writing import os_error_text
 from igtl_gateway.addons.upload.place import UploadPlace
 from igtl_gateway.addons.upload.s3 import RateLimit, S3Store, StoredObject, StoreError
-from igtl_gateway.record.retention.stored import RecordingFolder, StoredRecording, identity_of, open_unlinked
-from igtl_gateway.record.retention.upload_state import FileState, UploadState, UploadStates, base_of, belongs
 
 #: Codes of its notes.
 CONFIRMED, WAITS, REACHED, DIFFERS = "upload_confirmed", "upload_waits", "upload_reached", "upload_differs"
@@ -138,9 +150,9 @@ class Uploader:
         if self._base is not None:
             bases.add(self._base)
         for recording in sorted(found, key=lambda each: (each.modified_ns, each.part, each.name)):
-            base = next((each for each in bases if belongs(recording.name, each)), None)
+            base = next((each for each in bases if is_of_recording(recording.name, each)), None)
             if base is None and self._base is None:
-                base = base_of(recording.name)
+                base = recording_name(recording.name)
             if base is None or (state := self._state(base)) is None:
                 continue
             known = state.files.get(recording.name, FileState())
@@ -208,7 +220,7 @@ class Uploader:
         if known.sha256 and not known.is_of(recording):
             raise ContentDiffers(f"found {recording.size:,} bytes that changed after it was closed, expected no change")
         with closing(open_unlinked(recording.path)) as stream:
-            if identity_of(os.fstat(stream.fileno())) != recording.identity:
+            if file_identity(os.fstat(stream.fileno())) != recording.identity:
                 raise ContentDiffers("found another file than a moment ago")
             part_bytes = max(PART_BYTES, math.ceil(recording.size / _MOST_PARTS / PART_BYTES) * PART_BYTES)
             if not known.sha256 or known.part_bytes != part_bytes:

@@ -16,7 +16,8 @@ from typing import Any
 
 import rerun.blueprint as rrb
 
-from igtl_gateway.addon import ConfigError, Kind
+from igtl_gateway.addon import ConfigError
+from igtl_gateway.addon.reading import Kind
 from igtl_gateway.addons.view.contents import (
     DROPS,
     LAG_CURVES,

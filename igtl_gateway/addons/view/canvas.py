@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from igtl_gateway.addon import ConversionError, Once
+from igtl_gateway.addon import ConversionError
+from igtl_gateway.addon.processes import Once
 from igtl_gateway.addons.view.colours import SERIES
 from igtl_gateway.addons.view.contents import FRAMES, LOG, EntityKind, SessionContents, ShownTopic, escape_path_part
 from igtl_gateway.addons.view.pen import MAX_ENTITIES, Pen, Pose, Xyz

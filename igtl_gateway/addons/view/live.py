@@ -12,7 +12,9 @@ from dataclasses import replace
 
 import rerun as rr
 
-from igtl_gateway.addon import Config, Entry, Kind, Session, make_core
+from igtl_gateway.addon.checking import Session, make_core
+from igtl_gateway.addon.reading import Entry, Kind
+from igtl_gateway.addon.settings import Config
 from igtl_gateway.addons.view.canvas import Options
 from igtl_gateway.addons.view.session import SessionView
 from igtl_gateway.addons.view.stream import arrange, to_viewer

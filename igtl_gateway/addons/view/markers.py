@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from igtl_gateway.addon import Buffer, Self
+from igtl_gateway.addon import Self
+from igtl_gateway.addon.messages import CdrReader
+from igtl_gateway.addon.reading import Buffer
 from igtl_gateway.addon.ros import Marker
-from igtl_gateway.convert.cdr import CdrReader
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
-from igtl_gateway.addon import GatewayError, UnsupportedRecording, files, parse_xml
+from igtl_gateway.addon import GatewayError, UnsupportedRecording
+from igtl_gateway.addon.untrusted import files, parse_xml
 
 #: Bytes of one mesh, and of all meshes of a session.
 MAX_BYTES, MAX_ALL_BYTES = 32 << 20, 256 << 20

@@ -12,12 +12,11 @@ import rerun as rr
 
 from igtl_gateway.addon import ConversionError
 from igtl_gateway.addon.igtl import NDARRAY_SCALARS
-from igtl_gateway.addon.ros import JointState, Joy, NdArray, Sensor, TwistStamped, WrenchStamped
+from igtl_gateway.addon.ros import JointState, Joy, MultiArray, NdArray, Sensor, TwistStamped, WrenchStamped
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import SERIES
 from igtl_gateway.addons.view.contents import EntityKind
 from igtl_gateway.addons.view.other_msgs import Float64
-from igtl_gateway.convert.multi_arrays import MultiArray
 
 #: Up to this many numbers are curves; more numbers are a bar chart.
 _CURVES = 16

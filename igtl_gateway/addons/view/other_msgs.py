@@ -9,8 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from igtl_gateway.addon.ros import Header, PoseStamped
-from igtl_gateway.convert.structs import FLOAT64, HEADER, Struct, sequence_of
+from igtl_gateway.addon.ros import FLOAT64, HEADER, Header, PoseStamped, Struct, sequence_of
 
 
 @dataclass(frozen=True, slots=True)

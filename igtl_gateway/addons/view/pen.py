@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from igtl_gateway.addon import NS_PER_S, ConversionError, Entry
+from igtl_gateway.addon import NS_PER_S, ConversionError
+from igtl_gateway.addon.reading import Entry
 from igtl_gateway.addons.view.colours import INFO
 from igtl_gateway.addons.view.contents import PLACES
 

@@ -9,27 +9,26 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from igtl_gateway.addon import (
+from igtl_gateway.addon import ConversionError, Unavailable
+from igtl_gateway.addon.messages import (
     JPEG,
     PNG,
-    Buffer,
+    VIDEO_FORMATS,
     Coding,
-    ConversionError,
-    Unavailable,
     bayer_pattern,
     coding_of,
     decoded_still,
     demosaiced,
     depths,
+    frame_size,
     is_deep_png,
     is_key_frame,
 )
+from igtl_gateway.addon.reading import Buffer
 from igtl_gateway.addon.ros import CameraInfo, ColorTable, CompressedImage, CompressedVideo, Image, VideoFrame
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import span
 from igtl_gateway.addons.view.contents import PLACES
-from igtl_gateway.convert.framesize import frame_size
-from igtl_gateway.convert.videos import FORMATS
 
 Array = npt.NDArray[Any]
 
@@ -166,7 +165,7 @@ def draw_video_frame(message: VideoFrame, canvas: Canvas) -> None:
         pixel_format = rr.PixelFormat.Y_U_V12_LimitedRange
         canvas.log(rr.Image(bytes=data, width=width, height=height, pixel_format=pixel_format))
         return
-    _draw_video(canvas, [FORMATS.get(message.codec, message.codec.lower())], message.data)
+    _draw_video(canvas, [VIDEO_FORMATS.get(message.codec, message.codec.lower())], message.data)
 
 
 def draw_camera(message: CameraInfo, canvas: Canvas) -> None:

@@ -10,7 +10,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from threading import Event
 
-from igtl_gateway.addon import Child, ViewerError, missing
+from igtl_gateway.addon import ViewerError
+from igtl_gateway.addon.processes import Child, missing
 
 _KEPT = 20_000  #: number of characters of the viewer's last log lines that are kept
 _STOP_S = 5.0

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from igtl_gateway.addon import Entry, Kind
+from igtl_gateway.addon.reading import Entry, Kind
 from igtl_gateway.addons.review import Level, PlanReview, Review, StitchReview
 from igtl_gateway.addons.view import colours
 from igtl_gateway.addons.view.contents import (

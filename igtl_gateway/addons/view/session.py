@@ -16,19 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import rerun as rr
 
-from igtl_gateway.addon import (
-    NS_PER_S,
-    ConversionError,
-    Entry,
-    Kind,
-    Level,
-    Mark,
-    MarkNote,
-    Note,
-    StreamTimes,
-    one_clock,
-    read_bytes,
-)
+from igtl_gateway.addon import NS_PER_S, ConversionError
+from igtl_gateway.addon.messages import ieee_754
+from igtl_gateway.addon.reading import Entry, Kind, Level, Mark, MarkNote, Note
+from igtl_gateway.addon.streams import StreamTimes, one_clock
+from igtl_gateway.addon.untrusted import read_bytes
 from igtl_gateway.addons.view.blueprints import is_camera, target_frame
 from igtl_gateway.addons.view.canvas import Canvas, Options
 from igtl_gateway.addons.view.colours import ERROR, INFO, WARN
@@ -53,7 +45,6 @@ from igtl_gateway.addons.view.pen import GATEWAY_TIME, LAST_NS, SENDER_TIME, Pen
 from igtl_gateway.addons.view.robots import Robots
 from igtl_gateway.addons.view.ruler import draw_ruler, ruler_of
 from igtl_gateway.addons.view.table import PICTURES, Picture
-from igtl_gateway.convert.units import ieee_754
 
 if TYPE_CHECKING:
     from igtl_gateway.addons.review import Review

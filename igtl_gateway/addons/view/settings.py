@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from igtl_gateway.addon import Setting, grouped
+from igtl_gateway.addon.settings import Setting, grouped
 
 SETTINGS = grouped(
     "diagnostics",

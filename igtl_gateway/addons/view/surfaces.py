@@ -9,12 +9,16 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from igtl_gateway.addon import (
-    ConversionError,
+from igtl_gateway.addon import ConversionError
+from igtl_gateway.addon.messages import (
     LengthUnits,
     ToIgtlContext,
     ToRosContext,
+    has_faces,
+    has_lines,
     polydata_to_igtl,
+    polydata_to_lines,
+    polydata_to_mesh,
     rotation_matrix,
 )
 from igtl_gateway.addon.ros import Marker, Mesh, PolyData, TrajectoryList
@@ -24,7 +28,6 @@ from igtl_gateway.addons.view.clouds import POINT_M
 from igtl_gateway.addons.view.contents import EntityKind
 from igtl_gateway.addons.view.markers import MarkerArray
 from igtl_gateway.addons.view.other_msgs import Path
-from igtl_gateway.convert import surfaces
 
 Array = npt.NDArray[Any]
 
@@ -88,12 +91,12 @@ def draw_polydata(message: PolyData, canvas: Canvas) -> None:
     to = ToRosContext("", 0, frame, "", _SAME)
     words = _attribute_colours(message)
     canvas.box(message.points)
-    faces, lines = surfaces.has_faces(content), surfaces.has_lines(content)  # type: ignore[arg-type]
-    segments = surfaces.polydata_to_lines(content, to).points if lines else np.empty((0, 3))  # type: ignore[arg-type]
+    faces, lines = has_faces(content), has_lines(content)  # type: ignore[arg-type]
+    segments = polydata_to_lines(content, to).points if lines else np.empty((0, 3))  # type: ignore[arg-type]
     strips = rr.LineStrips3D(segments.reshape(-1, 2, 3), colors=[canvas.colour], radii=[LINE_M])
     if faces:
         canvas.set_kind(EntityKind.MESH)
-        mesh = surfaces.polydata_to_mesh(content, to)  # type: ignore[arg-type]
+        mesh = polydata_to_mesh(content, to)  # type: ignore[arg-type]
         canvas.log(shaded_mesh(mesh.vertices, mesh.triangles, colours.BONE, words), frame=frame)
         if lines:
             canvas.log(strips, child="lines", frame=frame)

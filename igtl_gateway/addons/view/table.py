@@ -10,11 +10,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from igtl_gateway.addon import Buffer, ros
+from igtl_gateway.addon import ros
+from igtl_gateway.addon.messages import MULTI_ARRAYS
+from igtl_gateway.addon.reading import Buffer
 from igtl_gateway.addons.view import clouds, markers, numbers, other_msgs, pictures2d, poses, surfaces, volumes, words
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.contents import EntityKind
-from igtl_gateway.convert.multi_arrays import MULTI_ARRAYS
 
 
 class Readable(Protocol):

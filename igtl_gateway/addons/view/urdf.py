@@ -6,7 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from igtl_gateway.addon import DamagedRecording, Element, limits, parse_xml
+from igtl_gateway.addon import DamagedRecording
+from igtl_gateway.addon.untrusted import Element, limits, parse_xml
 from igtl_gateway.addons.view.robot_model import (
     MOVING,
     Joint,

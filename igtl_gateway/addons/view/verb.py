@@ -16,50 +16,49 @@ import numpy as np
 
 from igtl_gateway.addon import (
     NS_PER_S,
-    RECORDING_OR_BAG,
-    Config,
     ConfigError,
     DamagedRecording,
-    Entry,
     GatewayError,
+    SystemClock,
+    ViewerError,
+    did_you_mean,
+    near_names,
+)
+from igtl_gateway.addon.processes import is_present, missing, part_of
+from igtl_gateway.addon.reading import (
+    Entry,
     Kind,
     RecordedStamps,
     SessionFile,
-    SystemClock,
-    ViewerError,
+    config_to_run,
+    latched_before,
+    marked_moment,
+    marks_of,
+    open_recording,
+    through_gateway,
+)
+from igtl_gateway.addon.settings import Config
+from igtl_gateway.addon.terminal import (
+    RECORDING_OR_BAG,
     add_file,
     add_json,
     add_output,
     add_overwrite,
     cell,
-    check_target,
     clear_live_line,
-    config_to_run,
     count_text,
-    cpu_time,
     default,
-    did_you_mean,
-    is_present,
     is_terminal,
-    latched_before,
     live_line,
-    marked_moment,
-    marks_of,
-    missing,
-    near_names,
     output_file,
-    part_of,
     print_json,
     print_line,
     size_text,
     stop_event,
     width,
-    write_bytes,
-    write_error,
-    written,
 )
-from igtl_gateway.api import recording as recordings
-from igtl_gateway.replay.source import through_gateway
+from igtl_gateway.addon.untrusted import cpu_time
+from igtl_gateway.addon.writing import check_target, write_bytes, write_error, written
 
 if TYPE_CHECKING:
     from igtl_gateway.addons.review import Material
@@ -320,7 +319,7 @@ def _lag(options: argparse.Namespace, path: Path, view: SessionView) -> dict[str
     from igtl_gateway.addons.sync.lags import movement
     from igtl_gateway.addons.sync.verb import lag_facts, stream_named
 
-    with recordings.open(path) as recording:
+    with open_recording(path) as recording:
         fixed, moving = (stream_named([recording], name) for name in options.sync)
         signals = movement(fixed), movement(moving)
         is_stamped = len(fixed) and bool(np.all(fixed.stamps))

@@ -11,8 +11,8 @@ from pathlib import Path
 from urllib.parse import quote
 
 from igtl_gateway.addon import Self, ViewerError
+from igtl_gateway.addon.live import Handler, LocalServer
 from igtl_gateway.addons.view.process import ViewerProcess
-from igtl_gateway.edges.tcp.http_server import Handler, LocalServer
 
 HOST = "127.0.0.1"
 _LISTENS = re.compile(r"Listening for gRPC connections on 127\.0\.0\.1:(\d+)")

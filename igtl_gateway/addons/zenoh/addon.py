@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from igtl_gateway.addon import Verb
-from igtl_gateway.cli.verbs import RARE
+from igtl_gateway.addon.terminal import RARE, Verb
 
 VERBS = {
     "zenoh-router": Verb(

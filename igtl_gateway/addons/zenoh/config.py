@@ -12,7 +12,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import ConfigError, GatewayError, check_nesting, files, limits, whole_number
+from igtl_gateway.addon import ConfigError, GatewayError
+from igtl_gateway.addon.untrusted import check_nesting, files, limits, whole_number
 from igtl_gateway.addons.zenoh.library import first_line, import_zenoh
 from igtl_gateway.addons.zenoh.notation import ZENOH_ENDPOINT
 

@@ -12,10 +12,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from igtl_gateway.addon import Level, RosError
+from igtl_gateway.addon import RosError
+from igtl_gateway.addon.reading import Level
+from igtl_gateway.addon.ros_side import Reports
 from igtl_gateway.addons.zenoh.config import endpoints_of, session_config, value_of
 from igtl_gateway.addons.zenoh.library import first_line, import_zenoh
-from igtl_gateway.edges.interface import Reports
 
 #: Longest attempt to open the session, and the pause before the next.
 ATTEMPT_MS = 2000

@@ -23,7 +23,10 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any
 
-from igtl_gateway.addon import NS_PER_S, ConfigError, Level, Qos, RosError, SystemClock, UnknownTypeError
+from igtl_gateway.addon import NS_PER_S, ConfigError, RosError, SystemClock, UnknownTypeError
+from igtl_gateway.addon.reading import Level, Qos
+from igtl_gateway.addon.ros import Log
+from igtl_gateway.addon.ros_side import DEFAULT_LATCHED_MIB, Halves, OnMessage, OnNote, PlainSide, Reports, Wants
 from igtl_gateway.addons.zenoh.config import domain_of
 from igtl_gateway.addons.zenoh.connection import RETRY_NS, Connection
 from igtl_gateway.addons.zenoh.graph import Graph
@@ -36,16 +39,6 @@ from igtl_gateway.addons.zenoh.services import MESSAGES, SERVICES, Calls
 from igtl_gateway.addons.zenoh.site import Sites
 from igtl_gateway.addons.zenoh.subscribing import Subscribing
 from igtl_gateway.addons.zenoh.traffic import Traffic
-from igtl_gateway.convert.common_msgs import Log
-from igtl_gateway.edges.interface import (
-    DEFAULT_LATCHED_MIB,
-    Halves,
-    OnMessage,
-    OnNote,
-    PlainSide,
-    Reports,
-    Wants,
-)
 
 _ROSOUT_QOS = Qos(1000, latched=True)
 _SERVICE_QOS = Qos(10)

@@ -9,9 +9,9 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from igtl_gateway.addon import Endpoint, Level
+from igtl_gateway.addon.reading import Endpoint, Level
+from igtl_gateway.addon.ros_side import Publication, Reports
 from igtl_gateway.addons.zenoh.names import SPACE, Entity, Kind, gid, read_token
-from igtl_gateway.edges.interface import Publication, Reports
 
 #: Most entities of the graph.
 _MOST = 65_536

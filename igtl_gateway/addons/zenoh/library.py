@@ -6,8 +6,9 @@ import importlib
 import re
 from typing import Any
 
-from igtl_gateway.addon import RosError, expect_threads_of, missing
+from igtl_gateway.addon import RosError
 from igtl_gateway.addon import first_line as whole_first_line
+from igtl_gateway.addon.processes import expect_threads_of, missing
 
 #: Zenoh ends its errors with the place in its source.
 _PLACE = re.compile(r"!?\s+at \S+\.rs:\d+\.?")

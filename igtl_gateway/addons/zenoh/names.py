@@ -16,7 +16,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from igtl_gateway.addon import Qos, StrEnum
+from igtl_gateway.addon import StrEnum
+from igtl_gateway.addon.reading import Qos
 from igtl_gateway.addons.zenoh.library import import_xxhash
 
 #: The first chunk of all tokens of ROS.

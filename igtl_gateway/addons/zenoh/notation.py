@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 
-from igtl_gateway.addon import DDS, ConfigError
+from igtl_gateway.addon import ConfigError
+from igtl_gateway.addon.settings import DDS
 
 ZENOH = "zenoh"
 #: Classes of streams between sites.

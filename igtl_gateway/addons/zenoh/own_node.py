@@ -8,10 +8,10 @@ from __future__ import annotations
 from typing import Any
 
 from igtl_gateway.addon import UnknownTypeError
+from igtl_gateway.addon.writing import RosTypes
 from igtl_gateway.addons.zenoh.connection import Connection
 from igtl_gateway.addons.zenoh.names import Node, data_key
 from igtl_gateway.addons.zenoh.services import SERVICES
-from igtl_gateway.record.sessionfile.schemas import RosTypes
 
 
 class OwnNode:

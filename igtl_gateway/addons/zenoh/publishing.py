@@ -13,13 +13,14 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from igtl_gateway.addon import Clock, Level, Qos
+from igtl_gateway.addon import Clock
+from igtl_gateway.addon.reading import Level, Qos
+from igtl_gateway.addon.ros_side import Heard, Publishers, Reports, TopicCounts
 from igtl_gateway.addons.zenoh.library import first_line
 from igtl_gateway.addons.zenoh.names import Kind, Node, attachment, gid
 from igtl_gateway.addons.zenoh.own_node import OwnNode
 from igtl_gateway.addons.zenoh.traffic import ROBOT, Traffic, how_to_send
 from igtl_gateway.addons.zenoh.waiting import Commands
-from igtl_gateway.edges.interface import Heard, Publishers, Reports, TopicCounts
 
 #: From the declaration on until Zenoh knows the subscribers, a publisher counts as one with a subscriber.
 _SETTLE_NS = 500_000_000

@@ -12,18 +12,23 @@ from threading import Semaphore
 from types import SimpleNamespace
 from typing import Annotated, Any, ClassVar
 
-from igtl_gateway.addon import Clock, Level, files
-from igtl_gateway.addons.zenoh.names import attachment, read_attachment
-from igtl_gateway.convert.igtl_msgs import (
+from igtl_gateway.addon import Clock
+from igtl_gateway.addon.messages import definition_folder
+from igtl_gateway.addon.reading import Level
+from igtl_gateway.addon.ros import (
+    BOOL,
+    STRING,
+    UINT8,
     MarkRequest,
     MarkResponse,
     MetadataItem,
     SendCommandRequest,
     SendCommandResponse,
+    Struct,
 )
-from igtl_gateway.convert.interfaces import definition_folder
-from igtl_gateway.convert.structs import BOOL, STRING, UINT8, Struct
-from igtl_gateway.edges.interface import Reports
+from igtl_gateway.addon.ros_side import Reports
+from igtl_gateway.addon.untrusted import files
+from igtl_gateway.addons.zenoh.names import attachment, read_attachment
 
 #: Calls that run at once, and calls that wait or run; further ones are refused.
 _CALLS_AT_ONCE = 8

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from igtl_gateway.addon import DDS, HOST, ROS_GRAPH, Setting, grouped
+from igtl_gateway.addon.settings import DDS, HOST, ROS_GRAPH, Setting, grouped
 from igtl_gateway.addons.zenoh.notation import ZENOH, ZENOH_ENDPOINT, ros_middleware, site_class, site_name
 
 SETTINGS = grouped(

@@ -13,8 +13,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from igtl_gateway.addon import NS_PER_S, Clock, Level
-from igtl_gateway.edges.interface import Reports
+from igtl_gateway.addon import NS_PER_S, Clock
+from igtl_gateway.addon.reading import Level
+from igtl_gateway.addon.ros_side import Reports
 
 #: Between questions.
 ASK_NS = 2 * NS_PER_S

@@ -6,12 +6,13 @@ import threading
 from collections import OrderedDict, deque
 from typing import Any
 
-from igtl_gateway.addon import Clock, Level, Qos, RosError
+from igtl_gateway.addon import Clock, RosError
+from igtl_gateway.addon.reading import Level, Qos
+from igtl_gateway.addon.ros_side import Deliver, OnMessage, Reports, Subscriptions, TopicCounts, Wants, guarded
 from igtl_gateway.addons.zenoh.graph import Graph
 from igtl_gateway.addons.zenoh.inbox import Inbox, Waiting
 from igtl_gateway.addons.zenoh.names import Kind, Node, read_attachment
 from igtl_gateway.addons.zenoh.own_node import OwnNode
-from igtl_gateway.edges.interface import Deliver, OnMessage, Reports, Subscriptions, TopicCounts, Wants, guarded
 
 #: Publishers of one topic whose sequence numbers are followed.
 _SENDERS = 1024

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import threading
 
-from igtl_gateway.addon import default, parser_of, print_line, stop_event
+from igtl_gateway.addon.terminal import default, parser_of, print_line, stop_event
 from igtl_gateway.addons.zenoh.notation import ZENOH_LISTEN, zenoh_endpoint
 from igtl_gateway.addons.zenoh.router import Router
 

@@ -10,8 +10,9 @@ import threading
 from collections import Counter, deque
 from collections.abc import Callable
 
-from igtl_gateway.addon import NS_PER_S, Clock, Level
-from igtl_gateway.edges.interface import Reports, TopicCounts
+from igtl_gateway.addon import NS_PER_S, Clock
+from igtl_gateway.addon.reading import Level
+from igtl_gateway.addon.ros_side import Reports, TopicCounts
 
 #: A command that has waited longer is not sent: what it asks for may be wrong by then.
 LATE_NS = 2 * NS_PER_S

@@ -15,7 +15,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from igtl_gateway.addon import Deadline
+from igtl_gateway.addon.untrusted import Deadline
 from igtl_gateway.addons.lerobot.checksums import check_checksums, write_checksums
 from igtl_gateway.addons.lerobot.comparing import check
 from igtl_gateway.addons.lerobot.export import export_lerobot

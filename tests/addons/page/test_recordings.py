@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import igtl_gateway
-from igtl_gateway.addon import Level, Note
+from igtl_gateway.addon.reading import Level, Note
 from igtl_gateway.addons.page.listing import MAX_MARKS, places_of
 from igtl_gateway.addons.page.recordings import Recordings, _Reader
 from igtl_gateway.cli import main

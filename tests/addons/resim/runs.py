@@ -8,7 +8,7 @@ import sysconfig
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import SessionFile
+from igtl_gateway.addon.reading import SessionFile
 from igtl_gateway.addons.resim.engine import Program, ResimOptions, RunResult, run
 from igtl_gateway.addons.resim.verdict import Verdict, compare
 

@@ -12,7 +12,10 @@ from typing import Any
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
-from igtl_gateway.addon import Config, Entry, Kind, Qos, SessionWriter, __version__
+from igtl_gateway.addon import __version__
+from igtl_gateway.addon.reading import Entry, Kind, Qos
+from igtl_gateway.addon.settings import Config
+from igtl_gateway.addon.writing import SessionWriter
 
 START_NS = 1_700_000_000_000_000_000
 MS = 1_000_000

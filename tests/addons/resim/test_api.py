@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import igtl_gateway
-from igtl_gateway.addon import SessionFile
+from igtl_gateway.addon.reading import SessionFile
 from igtl_gateway.addons.resim import api
 from igtl_gateway.base.errors import ConfigError
 from tests.addons.resim import sessions

@@ -20,7 +20,8 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.addon import ConfigError, SessionFile
+from igtl_gateway.addon import ConfigError
+from igtl_gateway.addon.reading import SessionFile
 from igtl_gateway.addons.resim import coordinator, engine, frames
 from igtl_gateway.addons.resim.coordinator import ProgramFault
 from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, run, run_file

@@ -16,8 +16,11 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.addon import Config, ConfigError, Entry, Kind, SessionFile, SessionWriter, __version__
+from igtl_gateway.addon import ConfigError, __version__
 from igtl_gateway.addon.igtl import Message, Transform, decode, encode, ns_to_ticks
+from igtl_gateway.addon.reading import Entry, Kind, SessionFile
+from igtl_gateway.addon.settings import Config
+from igtl_gateway.addon.writing import SessionWriter
 from igtl_gateway.addons.resim import igtl_peer
 from igtl_gateway.addons.resim.engine import Program, ResimOptions, RunResult, run
 from igtl_gateway.addons.resim.igtl_peer import IgtlRole

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from igtl_gateway.addon import Kind, Qos
+from igtl_gateway.addon.reading import Kind, Qos
 from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, RunResult, run
 from igtl_gateway.addons.resim.races import find_race
 from igtl_gateway.addons.resim.verdict import Race, compare

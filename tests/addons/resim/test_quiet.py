@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.addon import GatewayError, Qos
+from igtl_gateway.addon import GatewayError
+from igtl_gateway.addon.reading import Qos
 from igtl_gateway.addons.resim.api import resim
 from igtl_gateway.cli import main
 from tests.addons.resim import sessions

@@ -11,7 +11,7 @@ from pathlib import Path
 from unittest.mock import patch
 from xml.etree import ElementTree
 
-from igtl_gateway.addon import Qos
+from igtl_gateway.addon.reading import Qos
 from igtl_gateway.addons.resim import outputs
 from igtl_gateway.addons.resim.coordinator import Roles
 from igtl_gateway.addons.resim.engine import Run, RunResult

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.addon import Entry, Kind, SessionFile, SessionWriter
+from igtl_gateway.addon.reading import Entry, Kind, SessionFile
+from igtl_gateway.addon.writing import SessionWriter
 from igtl_gateway.addons.resim.services import RecordedAnswer, RecordedService, recorded_services
 from igtl_gateway.record.sessionfile.definition import Definition
 from tests.addons.resim import sessions

@@ -93,7 +93,7 @@ def test_slicer_reads_each_exported_image_of_a_fixture(scene: Any, tmp_path: Pat
 def test_slicer_reads_each_exported_surface_of_a_fixture(
     scene: Any, tmp_path: Path, fixture: Path, export: Any, suffix: str
 ) -> None:
-    from igtl_gateway.addon import recorded_units
+    from igtl_gateway.addon.reading import recorded_units
 
     names, judged = FileNames(), Counter[str]()
     with SessionFile.open(fixture) as file:

@@ -1,0 +1,107 @@
+"""Recordings: as the streams of the Python API, or as the entries of a session."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from igtl_gateway.addon.loading import Homes, at_first_use
+
+if TYPE_CHECKING:
+    from igtl_gateway.api.recording import Recording as Recording
+    from igtl_gateway.api.recording import of_session as of_session
+    from igtl_gateway.api.recording import open as open_recording
+    from igtl_gateway.api.recording import session_of as session_of
+    from igtl_gateway.api.stream import RecordedMessage as RecordedMessage
+    from igtl_gateway.api.stream import Stream as Stream
+    from igtl_gateway.api.verbs import AnyRecording as AnyRecording
+    from igtl_gateway.base.buffers import Buffer as Buffer
+    from igtl_gateway.base.buffers import join as join
+    from igtl_gateway.base.qos import Endpoint as Endpoint
+    from igtl_gateway.base.qos import Qos as Qos
+    from igtl_gateway.base.qos import incompatible as incompatible
+    from igtl_gateway.gateway.log.entry import Entry as Entry
+    from igtl_gateway.gateway.log.entry import Kind as Kind
+    from igtl_gateway.gateway.log.groups import input_groups as input_groups
+    from igtl_gateway.gateway.log.marks import Mark as Mark
+    from igtl_gateway.gateway.log.marks import MarkNote as MarkNote
+    from igtl_gateway.gateway.log.marks import ago_ns as ago_ns
+    from igtl_gateway.gateway.log.note import Level as Level
+    from igtl_gateway.gateway.log.note import Note as Note
+    from igtl_gateway.record.retention.stored import RecordingFolder as RecordingFolder
+    from igtl_gateway.record.retention.stored import StoredRecording as StoredRecording
+    from igtl_gateway.record.retention.stored import identity_of as file_identity
+    from igtl_gateway.record.retention.stored import open_unlinked as open_unlinked
+    from igtl_gateway.record.retention.upload_state import FileState as FileState
+    from igtl_gateway.record.retention.upload_state import UploadState as UploadState
+    from igtl_gateway.record.retention.upload_state import UploadStates as UploadStates
+    from igtl_gateway.record.retention.upload_state import base_of as recording_name
+    from igtl_gateway.record.retention.upload_state import belongs as is_of_recording
+    from igtl_gateway.record.sessionfile import layout as layout
+    from igtl_gateway.record.sessionfile import records as records
+    from igtl_gateway.record.sessionfile.added_marks import added_marks as added_marks
+    from igtl_gateway.record.sessionfile.added_marks import marks_files as marks_files
+    from igtl_gateway.record.sessionfile.bulk import MessageBlock as MessageBlock
+    from igtl_gateway.record.sessionfile.bulk import block_of as block_of
+    from igtl_gateway.record.sessionfile.index import read_index as read_index
+    from igtl_gateway.record.sessionfile.index import read_record as read_record
+    from igtl_gateway.record.sessionfile.index import recover_hint as recover_hint
+    from igtl_gateway.record.sessionfile.order import message_rows as message_rows
+    from igtl_gateway.record.sessionfile.ranges import RangeFile as RangeFile
+    from igtl_gateway.record.sessionfile.ranges import named as named
+    from igtl_gateway.record.sessionfile.reader import SessionFile as SessionFile
+    from igtl_gateway.record.sessionfile.seals import stated_seals as stated_seals
+    from igtl_gateway.replay.recorded_config import config_to_run as config_to_run
+    from igtl_gateway.replay.recorded_config import recorded_acceptance as recorded_acceptance
+    from igtl_gateway.replay.recorded_config import recorded_units as recorded_units
+    from igtl_gateway.replay.recorded_marks import carry_marks as carry_marks
+    from igtl_gateway.replay.recorded_marks import marked_moment as marked_moment
+    from igtl_gateway.replay.recorded_marks import marks_of as marks_of
+    from igtl_gateway.replay.recorded_stamps import RecordedStamps as RecordedStamps
+    from igtl_gateway.replay.source import check_recorded as check_recorded
+    from igtl_gateway.replay.source import through_gateway as through_gateway
+    from igtl_gateway.replay.stamp_places import StampPlaces as StampPlaces
+    from igtl_gateway.replay.state_before import latched_before as latched_before
+    from igtl_gateway.replay.state_before import with_state as with_state
+
+#: Names that are others there; the rest of the group is above.
+__all__ = ["file_identity", "is_of_recording", "open_recording", "recording_name"]
+
+HOMES: Homes = (
+    # Recordings, for who does not need entries: those of the Python API
+    ("api.recording", "Recording of_session open_recording=open session_of"),
+    ("api.stream", "RecordedMessage Stream"),
+    ("api.verbs", "AnyRecording"),
+    # Sessions: entries as they are in the file
+    ("record.sessionfile.reader", "SessionFile"),
+    ("record.sessionfile", "layout"),
+    ("record.sessionfile.bulk", "MessageBlock block_of"),
+    ("record.sessionfile.ranges", "RangeFile named"),
+    ("gateway.log.entry", "Entry Kind"),
+    ("gateway.log.note", "Level Note"),
+    ("gateway.log.groups", "input_groups"),
+    ("base.qos", "Endpoint Qos incompatible"),
+    ("base.buffers", "Buffer join"),
+    # What a session states: configuration, units, stamps, marks, seals
+    ("replay.recorded_config", "config_to_run recorded_acceptance recorded_units"),
+    ("replay.recorded_stamps", "RecordedStamps"),
+    ("replay.stamp_places", "StampPlaces"),
+    ("gateway.log.marks", "Mark MarkNote ago_ns"),
+    ("record.sessionfile.added_marks", "added_marks marks_files"),
+    ("replay.recorded_marks", "carry_marks marked_moment marks_of"),
+    ("record.sessionfile.seals", "stated_seals"),
+    # Its entries as they were before, and through a gateway
+    ("replay.source", "check_recorded through_gateway"),
+    ("replay.state_before", "latched_before with_state"),
+    # MCAP files that are no session: their index and records
+    ("record.sessionfile", "records"),
+    ("record.sessionfile.index", "read_index read_record recover_hint"),
+    ("record.sessionfile.order", "message_rows"),
+    # Closed recordings of a folder, and what of them is uploaded
+    ("record.retention.stored", "RecordingFolder StoredRecording file_identity=identity_of open_unlinked"),
+    (
+        "record.retention.upload_state",
+        "FileState UploadState UploadStates is_of_recording=belongs recording_name=base_of",
+    ),
+)
+
+__getattr__, __dir__ = at_first_use(__name__, HOMES)
