@@ -23,7 +23,7 @@ CHEAP = ("igs.mha", "python", "align", "lookup")
 #: what looks like a latency, frames without stamps.
 SILENT_ONCE = (
     *((150, "lookup"), (158, "lookup"), (158, "to_igtl"), (318, "csv"), (318, "align"), (318, "lookup")),
-    *((346, "arrow"), (380, "lookup"), (407, "ply")),
+    *((346, "arrow"), (380, "lookup"), (407, "ply"), (829, "align"), (980, "view")),
 )
 
 

@@ -64,7 +64,7 @@ class Aligned:
         times: (N,) int64, UTC ns on the clock that was chosen.
         matches: key → the messages of a stream; the stream ``on`` has offsets of 0.
         clock: ``"source"``: stamps; ``"gateway"``: times of receipt.
-        notes: what was corrected or assumed to have one clock; a warning has it, too, unless it is a latency.
+        notes: what was corrected or assumed to have one clock; a ``ClockWarning`` has it, too.
     """
 
     on: str
@@ -183,7 +183,7 @@ def align(
         raise ConfigError(f"on: found {key!r}, expected one of {', '.join(by_key)}")
     every = [each.stream_times for each in by_key.values()]
     chosen = one_clock(every, clock)
-    if not chosen.is_sure:
+    if chosen.notes:
         warn("; ".join(chosen.notes), ClockWarning, stacklevel=2)
     own = list(by_key).index(key)
     # the times of ``on`` are those of its own clock, whatever that of the others is

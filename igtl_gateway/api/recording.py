@@ -320,7 +320,7 @@ def open(path: str | Path, *, limits: FileLimits | Mapping[str, int] | None = No
         resources.close()
         raise
     whole = with_state(file)
-    if count := whole.entry_count - file.entry_count:
+    if count := _messages(whole) - _messages(file):
         warnings.append(f"{path}: begins midway; its first {count:,} messages were latched before")
     file = whole
     if file.merge:
@@ -351,6 +351,10 @@ def session_of(recording: Recording | str | PathLike[str]) -> Iterator[SessionFi
         raise ConfigError(f"{recording!r}: found a part of a recording, expected the whole one")
     with file_limits.limits_in_force(recording._source.limits):
         yield without_state(recording._source.file)
+
+
+def _messages(file: SessionFile) -> int:
+    return sum(each.count for each in file.channels if each.kind in MESSAGES)
 
 
 def _limits(given: FileLimits | Mapping[str, int] | None) -> FileLimits:

@@ -263,11 +263,11 @@ class TransformTree:
                 if found.name != GATEWAY and own:
                     # three messages without age: gateway time itself
                     now = np.repeat(own[0].times[:1], 3)
-                    found = one_clock([*own, StreamTimes("gateway time", now, now)])
+                    found = one_clock([*own, StreamTimes("gateway time", now, now, is_clock=True)])
             else:
                 found = one_clock([*own, stream])
             self._clocks[key] = found
-            if not found.is_sure:
+            if found.notes:
                 warn("; ".join(found.notes), ClockWarning, stacklevel=4)
         return found
 

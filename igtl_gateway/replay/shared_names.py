@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.gateway.naming import NAME_SHARED
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.replay.state_before import notes_before
 
 
 def shared_names(file: SessionFile) -> Iterator[Note]:
-    """Yield the notes about streams that several peers sent at one time; a merged session states them itself."""
-    for entry in file.entries_of_kinds({Kind.NOTE}):
+    """Yield the notes about streams that several peers sent at one time, also before a part of a recording.
+
+    A merged session states them itself.
+    """
+    for entry in chain(notes_before(file), file.entries_of_kinds({Kind.NOTE})):
         if entry.kind is Kind.NOTE and NAME_SHARED.encode() in bytes(entry.data()):
             note = Note.of(entry.data())
             if note.code == NAME_SHARED:

@@ -27,6 +27,10 @@ MS = 1_000_000
 POSE, NUMBER = "TRANSFORM/AToB", "/number"
 
 
+#: The rule is tested, on times that are made so.
+_NO_MATTER = pytest.mark.filterwarnings("ignore::igtl_gateway.base.errors.ClockWarning")
+
+
 def transform(angle: float, x: float) -> bytes:
     c, s = math.cos(angle), math.sin(angle)
     content = Transform((c, s, 0.0, -s, c, 0.0, 0.0, 0.0, 1.0, x, 0.0, 0.0))
@@ -49,6 +53,7 @@ def number(value: float) -> bytes:
     return struct.pack("<4Bd", 0, 1, 0, 0, value)
 
 
+@_NO_MATTER
 def test_the_nearest_message_within_the_tolerance_is_found(tmp_path: Path) -> None:
     turn = random.Random(3)
     rows = [(turn.randrange(2000), NUMBER, number(each), turn.randrange(2000)) for each in range(60)]
@@ -80,6 +85,7 @@ def test_the_nearest_message_within_the_tolerance_is_found(tmp_path: Path) -> No
             assert len(kept.to_arrow()) == len(kept)
 
 
+@_NO_MATTER
 def test_poses_are_interpolated_and_not_extrapolated(tmp_path: Path) -> None:
     rows: list[tuple[int, str, bytes, int]] = [
         (0, POSE, transform(0.0, 0.0), 0),
@@ -104,6 +110,7 @@ def test_poses_are_interpolated_and_not_extrapolated(tmp_path: Path) -> None:
         assert table["/number.data"].to_pylist() == [-10, 0, 50, 100, 300, 500, 510]
 
 
+@_NO_MATTER
 def test_damaged_messages_are_not_used(tmp_path: Path) -> None:
     bad = bytearray(transform(0.0, 5.0))
     bad[70] ^= 1
@@ -117,6 +124,7 @@ def test_damaged_messages_are_not_used(tmp_path: Path) -> None:
         assert own.to_arrow()[f"{POSE}.entry"].null_count <= 1
 
 
+@_NO_MATTER
 def test_the_tool_of_star_at_the_times_of_the_clouds() -> None:
     with igtl_gateway.open(FIXTURES / "star.mcap") as recording:
         tool, cloud, text = recording["TRANSFORM/ToolToBase"], recording["/star/cloud"], recording["STRING/StarStatus"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from rosbags.rosbag2 import Reader
 
 import igtl_gateway
 from igtl_gateway.base.clock import ManualClock
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.cli import main
 from igtl_gateway.config.configuration import Config
@@ -17,18 +19,21 @@ from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.gateway import LINKS_TOPIC
 from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import StateInputRule
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.with_state import SessionWithState
-from igtl_gateway.replay.state_before import latched_before, with_state, without_state
+from igtl_gateway.replay.shared_names import shared_names
+from igtl_gateway.replay.state_before import LASTING, latched_before, notes_before, with_state, without_state
 from igtl_gateway.testing.gateway import ManualGateway
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.text import Status
 from igtl_gateway.wire.transform import Transform
 from tests.record import samples
+from tools.note_codes import NOTES
 
 ROBOT = "/robot_description"
 URDF = "<robot name='arm'/>"
@@ -129,3 +134,52 @@ def test_each_method_of_a_file_has_its_state() -> None:
     """A method that the class does not have would read attributes that only a file of its own has."""
     public = {name for name, each in vars(SessionFile).items() if callable(each) and not name.startswith("_")}
     assert public - vars(SessionWithState).keys() == set()
+
+
+def part_of_two_peers(folder: Path) -> Path:
+    """The last part of a session whose peers share a device from its start; one sends what is no rotation."""
+    gateway = ManualGateway(start_ns=samples.START_NS)
+    links = [gateway.connect(), gateway.connect()]
+    for number in range(60):
+        gateway.advance(0.1)
+        for link in links:
+            matrix = (1.0 + 0.01 * (link == links[0]), 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 100.0 * number, 0.0, 0.0)
+            gateway.from_peer(Message("TRANSFORM", "Pen", Transform(matrix), 0), link)
+    recorder = Recorder(
+        folder / "peers.mcap",
+        {"config": json.dumps(Config().to_dict())},
+        qos_of=lambda *_: None,
+        on_note=lambda note: pytest.fail(note.text),
+        clock=ManualClock(),
+        host=in_thread,
+        options=RecordOptions(split_s=2.0),
+        rule=StateInputRule(frozenset({LINKS_TOPIC})),
+    )
+    for entry in gateway.log:
+        recorder(entry)
+    return [file for file in recorder.close({"streams": {}}).files if file.suffix == ".mcap"][-1]
+
+
+def test_notes_that_hold_until_the_end_are_there_in_a_part(tmp_path: Path) -> None:
+    part = part_of_two_peers(tmp_path)
+    with SessionFile.open(part) as file:
+        assert not [each for each in file.entries() if each.kind is Kind.NOTE]
+        assert {Note.of(entry.data()).code for entry in notes_before(file)} == {"name_shared", "not_a_rotation"}
+        assert [note.code for note in shared_names(file)] == ["name_shared"]
+        whole = with_state(file)
+        assert [each.kind for each in whole.entries_of_kinds({Kind.NOTE})].count(Kind.NOTE) == 2
+        assert len(list(whole.entries())) == whole.entry_count
+        seen = [each for each in latched_before(file, Config()) if each.kind is Kind.NOTE]
+        assert len(seen) == 2, "for the viewer"
+    with igtl_gateway.open(part) as recording:
+        assert recording.warnings == (), "no message was latched"
+        assert {note.code for note in recording.notes} >= {"name_shared", "not_a_rotation"}
+        with pytest.raises(ConfigError, match="found messages of several peers"):
+            recording["/igtl/in/Pen/transform"].poses()
+    assert main(["verify", str(part)]) == 0
+
+
+def test_each_note_of_names_and_changes_is_lasting() -> None:
+    """A new one is, unless it is about one message."""
+    about = {**NOTES["Names"], **NOTES["Messages that are changed or not converted"]}
+    assert about.keys() - LASTING == {"stream", "listened"} and about.keys() >= LASTING

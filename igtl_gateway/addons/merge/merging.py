@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import chain, combinations
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from igtl_gateway.addon.reading import (
     SessionFile,
     added_marks,
     carry_marks,
+    notes_before,
     stated_seals,
 )
 from igtl_gateway.addon.untrusted import files, is_same
@@ -167,7 +168,7 @@ def _warned(recorder: _Recorder) -> tuple[list[str], dict[str, str]]:
     counts: Counter[tuple[str, str]] = Counter()
     texts: dict[tuple[str, str], str] = {}
     shared: dict[str, str] = {}
-    for entry in recorder.file.entries_of_kinds({Kind.NOTE}):
+    for entry in chain(notes_before(recorder.file), recorder.file.entries_of_kinds({Kind.NOTE})):
         note = Note.of(entry.data()) if entry.kind is Kind.NOTE else None
         if note is None or note.level < Level.WARN:
             continue

@@ -9,13 +9,15 @@ offset plus the least latency (``timing``).  An age below zero is not a latency,
 * streams of another clock, alone, have one clock, too: theirs;
 * streams of several clocks are moved to gateway time, each clock by its least age, and this is reported;
 * where a message has no stamp, or the ages of a stream wander, all streams have their times of receipt, and this is
-  reported.
+  reported;
+* stamps without any age are times of receipt, which the gateway sets in topics of a sender without stamps: how late
+  the messages were is not known, and this is reported.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -40,8 +42,12 @@ _PART_NS, _PARTS = 2 * NS_PER_S, 64
 _ENOUGH = 3
 #: Least ages that differ by more are reported: it is a latency, or an offset of clocks.
 _SAID_NS = 20 * NS_PER_MS
-#: Least ages that differ by more are rather an offset of clocks: few streams that are joined are so late at the least.
-_UNLIKELY_NS = 100 * NS_PER_MS
+#: With an age up to this, the stamp is the time of receipt, which the gateway sets where the sender has set none.
+#: Its outputs are numbered by the nanosecond; no message of a peer or of DDS arrives so fast.
+_NO_AGE_NS = 100
+#: A stream in which at least this part of the messages has no age has times of receipt as stamps; clocks that agree by
+#: chance have it in less.
+_OFTEN = 0.05
 #: Streams that a note names: a reader looks for its own among them.
 _NAMED = 12
 
@@ -57,6 +63,7 @@ class StreamTimes:
         sender: streams of one sender have one clock; ``""``: it is not known.
         behind: the stream whose lag was subtracted from the stamps: they have its clock, or that of the gateway if it
             has a message without a stamp.
+        is_clock: the times are those of the gateway's clock itself, and not of messages.
     """
 
     name: str
@@ -64,11 +71,20 @@ class StreamTimes:
     stamps: Times
     sender: str = ""
     behind: StreamTimes | None = None
+    is_clock: bool = False
 
     @property
     def is_stamped(self) -> bool:
         """Whether every message has a stamp."""
         return bool(np.all(self.stamps > 0))
+
+    @property
+    def is_of_receipt(self) -> bool:
+        """Whether its stamps are times of receipt: those of a topic whose sender has set none."""
+        if self.is_clock or self.behind is not None or not len(self.times):
+            return False
+        ages = self.times - self.stamps
+        return bool(np.mean((ages >= 0) & (ages <= _NO_AGE_NS)) >= _OFTEN)
 
     def ages(self) -> Times:
         """Return the ages on arrival of the clock of the stamps, ns; of the gateway's clock 0."""
@@ -85,14 +101,12 @@ class OneClock:
         name: ``source``: the senders' stamps; ``gateway``: times of receipt.
         shifts: of each stream what is added to its stamps, ns.
         notes: sentences for the user: what was corrected, and what is not known.
-        is_sure: whether the notes report nothing but likely latencies, of up to 100 ms.
         is_chosen: whether the user has chosen times of receipt.
     """
 
     name: str
     shifts: tuple[int, ...]
     notes: tuple[str, ...] = ()
-    is_sure: bool = True
     is_chosen: bool = False
 
     def times(self, stream: StreamTimes, index: int) -> Times:
@@ -126,17 +140,25 @@ def one_clock(streams: Sequence[StreamTimes], wanted: str = AUTO) -> OneClock:
             raise ConfigError(f"clock: found {found}, expected none for the clock source")
         is_mixed = any(np.any(each.stamps > 0) and not _is_behind(each, without) for each in streams)
         notes = [f"clock: gateway: found {found}, so all streams have their times of receipt"] if is_mixed else []
-        return OneClock(GATEWAY, nothing, tuple(notes), is_sure=not notes)
+        return OneClock(GATEWAY, nothing, tuple(notes))
+    received = [index for index, each in enumerate(streams) if each.is_of_receipt]
+    if received and wanted == AUTO and len(received) == sum(len(each.times) > 0 for each in streams):
+        return OneClock(GATEWAY, nothing)  # nothing is mixed
+    notes = []
+    if received:
+        notes.append(
+            f"clock: the stamps of {_names(streams, received)} are times of receipt: the sender sends messages without "
+            "a stamp, so how late they were is not known"
+        )
     wandering = [name for each in streams if (name := _wandering(each))]
     if wandering:
         reason = f"the ages of {'; '.join(wandering)}: the clock was set, or the stamps do not run with it"
         if wanted == SOURCE:
-            return OneClock(SOURCE, nothing, (f"clock: source: {reason}",), is_sure=False)
-        return OneClock(
-            GATEWAY, nothing, (f"clock: gateway: {reason}; all streams have their times of receipt",), False
-        )
+            return OneClock(SOURCE, nothing, (f"clock: source: {reason}", *notes))
+        return OneClock(GATEWAY, nothing, (f"clock: gateway: {reason}; all streams have their times of receipt",))
     least = [int(each.ages().min()) if len(each.times) and len(each.ages()) else 0 for each in streams]
-    return _joined(streams, least)
+    joined = _joined(streams, least)
+    return replace(joined, notes=(*joined.notes, *notes))
 
 
 def _is_behind(stream: StreamTimes, other: StreamTimes) -> bool:
@@ -181,12 +203,10 @@ def _joined(streams: Sequence[StreamTimes], least: Sequence[int]) -> OneClock:
                     f"not of the clock of the others: corrected by {_ms(-offset_ns, sign=True)}, "
                     "the offset plus the least latency"
                 )
-    is_sure = not notes
     if used:
         # also across clocks: what a correction leaves of an age is compared with the ages of the others
         left = {index: least[index] - shifts[index] for index in used}
         first, last = (extreme(used, key=left.__getitem__) for extreme in (min, max))
-        is_sure = is_sure and left[last] - left[first] <= _UNLIKELY_NS
         if left[last] - left[first] > _SAID_NS:
             late = [index for index in used if left[index] - left[first] > _SAID_NS]
             notes.append(
@@ -194,7 +214,7 @@ def _joined(streams: Sequence[StreamTimes], least: Sequence[int]) -> OneClock:
                 f"{_ms(left[last] - left[first])} older on receipt than those of {streams[first].name}, "
                 "which is latency, or an offset of their clocks: `igtl-gateway sync` measures it"
             )
-    return OneClock(SOURCE, tuple(shifts), tuple(notes), is_sure)
+    return OneClock(SOURCE, tuple(shifts), tuple(notes))
 
 
 def _offset(clocks: dict[int, list[int]], index: int) -> int:

@@ -1,4 +1,4 @@
-"""A session file that begins with channels of its prologue, as one session; see ``replay.state_before``."""
+"""A session file that begins with messages and notes of its prologue, as one session; see ``replay.state_before``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import IO
 
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from igtl_gateway.gateway.log.entry import MESSAGES, Entry, Kind
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.bulk import MessageBlock
 from igtl_gateway.record.sessionfile.channels import ChannelSummary, joined
 from igtl_gateway.record.sessionfile.chunks import Row
@@ -20,11 +20,11 @@ _END_NS = 1 << 63
 
 
 class SessionWithState(SessionFile):
-    """A session file, of which some channels begin with messages from before it.
+    """A session file, of which some channels begin with messages and notes from before it.
 
     Args:
         itself: the file, which the caller closes.
-        before: these messages.
+        before: these messages and notes.
     """
 
     def __init__(self, itself: SessionFile, before: SessionFile) -> None:
@@ -34,7 +34,7 @@ class SessionWithState(SessionFile):
         ).split():
             setattr(self, name, getattr(itself, name))
         self.itself, self._before = itself, before
-        latched = [each for each in before.channels if each.count and each.kind in MESSAGES]
+        latched = [each for each in before.channels if each.count]
         self._own = {_key(each) for each in itself.channels}
         self._latched = {_key(each) for each in latched}
         self.channels = joined((*latched, *itself.channels))
@@ -49,27 +49,23 @@ class SessionWithState(SessionFile):
         """Close the file."""
         self.itself.close()
 
-    def _state(self) -> Iterator[Entry]:
-        for entry in self._before.entries():
-            kind = entry.kind
-            if kind in MESSAGES and (kind, entry.channel, entry.type) in self._latched:
-                yield entry
-
     def entries(self) -> Iterator[Entry]:
-        """The latched messages, then all entries; as SessionFile.entries."""
-        return chain(self._state(), self.itself.entries())
+        """What is from before, then all entries; as SessionFile.entries."""
+        return chain(self._before.entries(), self.itself.entries())
 
     def entries_of_kinds(self, kinds: Collection[Kind]) -> Iterator[Entry]:
         """As SessionFile.entries_of_kinds."""
-        return chain((each for each in self._state() if each.kind in kinds), self.itself.entries_of_kinds(kinds))
+        return chain(
+            (each for each in self._before.entries() if each.kind in kinds), self.itself.entries_of_kinds(kinds)
+        )
 
     def entries_with_state(self, start_ns: int, rule: LatchedStateRule) -> Iterator[Entry]:
         """As SessionFile.entries_with_state."""
-        return chain(self._state(), self.itself.entries_with_state(start_ns, rule))
+        return chain(self._before.entries(), self.itself.entries_with_state(start_ns, rule))
 
     def entries_starting_at(self, start_ns: int, seq: int = 0) -> Iterator[Entry]:
         """As SessionFile.entries_starting_at."""
-        state = (each for each in self._state() if each.stamp_ns >= start_ns)
+        state = (each for each in self._before.entries() if each.stamp_ns >= start_ns)
         return chain(state, self.itself.entries_starting_at(start_ns, seq))
 
     def blocks(self, channel: ChannelSummary, start_ns: int = 0, end_ns: int = _END_NS) -> Iterator[MessageBlock]:

@@ -63,8 +63,8 @@ def test_poses_are_interpolated(stamp: int, x: float) -> None:
 
 def test_a_quaternion_and_its_negative_are_one_rotation() -> None:
     frames = FramePoses()
-    frames.add("base", "camera", _pose(0, 0, 0, q=_QUARTER), 10, 10, "/c")
-    frames.add("base", "camera", _pose(0, 1, 0, q=(0.0, 0.0, -2 * _QUARTER[2], -2 * _QUARTER[3])), 20, 20, "/c")
+    frames.add("base", "camera", _pose(0, 0, 0, q=_QUARTER), 10, 110, "/c")
+    frames.add("base", "camera", _pose(0, 1, 0, q=(0.0, 0.0, -2 * _QUARTER[2], -2 * _QUARTER[3])), 20, 120, "/c")
     np.testing.assert_allclose(_at(frames, [[1, 0, 0]], "camera", "base", 15).points, [[0, 1.5, 0]], atol=1e-12)
 
 
