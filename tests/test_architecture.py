@@ -255,6 +255,7 @@ UNMIRRORED = (
     "test_mistyped_names.py",  # all verbs
     "integration",
     "peers",
+    "native/test_kernel.py",  # the headers of native/kernel, in C
     "native/test_rooms.py",  # the headers of native/kernel and native/passage
     "native/test_turns.py",  # turns of links, native/passage/_turns.h
     "native/test_twins.py",  # rules that stand in Python and in C
