@@ -257,6 +257,7 @@ UNMIRRORED = (
     "peers",
     "native/test_kernel.py",  # the headers of native/kernel, in C
     "native/test_rooms.py",  # the headers of native/kernel and native/passage
+    "native/test_states.py",  # native/passage/STATES.md
     "native/test_turns.py",  # turns of links, native/passage/_turns.h
     "native/test_twins.py",  # rules that stand in Python and in C
     "addons/resim/test_abi.py",  # addons/resim/preload/_abi.h

@@ -5,6 +5,7 @@ Rooms, each a folder of headers:
 * ``kernel/``: bytes, CRC, poses, points, surfaces, pictures, tools, the recorder's queue.  Neither Python nor threads
   nor a clock; each header compiles alone.
 * ``passage/``: the native passage (`igtl_gateway.native.passage`), with its binding to Python in ``passage/python/``.
+  ``passage/STATES.md`` has the states of a large message and of a subscription.
 
 Doors: ``_NAME.c`` is a module of Python, compiled as one unit with the headers that it includes, so that short
 functions are inlined.

@@ -1,7 +1,8 @@
 /* The native passage: messages of compiled streams, from the socket or the DDS reader to the other side, without the GIL.
  *
- * igtl_gateway/native/passage/__init__.py documents what it is for.  Everything here is optional: a message that is not as its
- * stream expects goes to Python, which has the same streams, and gives the same entries.
+ * igtl_gateway/native/passage/__init__.py documents what it is for; passage/STATES.md has the states of a large message and
+ * of a subscription.  Everything here is optional: a message that is not as its stream expects goes to Python, which has
+ * the same streams, and gives the same entries.
  *
  * This file makes a module of the rooms below passage/, as one unit, so that what a message passes is inlined.
  */

@@ -61,7 +61,7 @@ def test_rooms_include_downwards_and_in_no_circle() -> None:
 
 
 def test_every_header_is_part_of_a_module() -> None:
-    used, waiting = set(), [name for name in FILES if name.endswith(".c")]
+    used, waiting = set[str](), [name for name in FILES if name.endswith(".c")]
     while waiting:
         name = waiting.pop()
         waiting += included(name) - used

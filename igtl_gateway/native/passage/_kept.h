@@ -7,12 +7,20 @@
 #include <sys/types.h>
 
 #include "_rcl.h"
+#include "_states.h"
 
-/* A large message whose memory the thread that passes it and the stream share; the last one frees it. */
+/* A large message whose memory the thread that passes it, the list of those that are to be copied and the stream share; the
+ * last one frees it.  STATES.md has its states. */
 struct kept {
     int owners; /* atomic */
+    enum kept_state state;
     struct rcl_serialized message; /* only its memory */
 };
+
+static void move_kept(struct kept *kept, enum kept_state state)
+{
+    kept->state = (enum kept_state)moved("a message", KEPT_MOVES, kept->state, state);
+}
 
 /* The memory of a message as one that can be shared; NULL: there is no memory for that. */
 static struct kept *keep(struct rcl_serialized *message)
@@ -21,6 +29,7 @@ static struct kept *keep(struct rcl_serialized *message)
     if (!kept)
         return NULL;
     kept->owners = 1;
+    kept->state = OWN;
     kept->message = *message;
     return kept;
 }
@@ -40,7 +49,16 @@ static void leave_kept(struct kept *kept)
 {
     if (!kept || __atomic_sub_fetch(&kept->owners, 1, __ATOMIC_ACQ_REL))
         return;
+    move_kept(kept, GONE);
     free(kept->message.buffer);
+    free(kept);
+}
+
+/* The message was refused: its memory goes back to where it came from. */
+static void give_back(struct kept *kept)
+{
+    if (kept)
+        move_kept(kept, GONE);
     free(kept);
 }
 

@@ -83,6 +83,7 @@ static int admit_to_igtl(Subscription *self, Stream *stream, const struct found 
         return 0;
     }
     uint64_t seq = take_numbers(passage, large->count, now_ns, stamp_ns);
+    move_kept(kept, ADMITTED);
     reserve(passage, stream, large->outputs, large->sizes, large->count, seq, stamp_ns, source_ns, shown_ns, size, slots);
     for (int i = 0; i < large->count; i++) {
         put_u64((uint8_t *)large->parts[i][0].iov_base + TICKS_AT, ns_to_ticks(shown_ns));
@@ -120,7 +121,7 @@ static int pass_large_to_igtl(Subscription *self, Stream *stream, struct kept *k
         for (int i = 0; i < large.count; i++)
             for (int k = 0; k < large.outputs[i]->link_count; k++) {
                 Link *link = large.outputs[i]->links[k];
-                send_large_to_link(link, large.parts[i], large.parts_count, large.sizes[i], large.outputs[i]);
+                send_large_to_link(link, large.parts[i], large.parts_count, large.sizes[i], large.outputs[i], kept);
             }
         *unfilled = (struct unfilled){.direction = TO_IGTL, .passed_ns = clock_ns(CLOCK_MONOTONIC)};
         const struct iovec input = {kept->message.buffer, kept->message.length};
@@ -150,14 +151,14 @@ static int pass_held(Subscription *self)
     if (stream)
         __atomic_store_n(&stream->is_in_use, 0, __ATOMIC_RELEASE);
     if (!passed) {
-        free(kept);
+        give_back(kept);
         return 0;
     }
     leave_kept(kept);
     self->message.buffer = NULL;
     self->message.length = self->message.capacity = 0;
     self->last_size = size;
-    self->is_held = 0;
+    move_holds(self, EMPTY);
     count_received(self);
     return 1;
 }

@@ -27,6 +27,7 @@ static int admit_to_ros(Link *self, Stream *stream, const uint8_t *data, const s
         return 0;
     }
     uint64_t seq = take_numbers(passage, chosen->count, now_ns, stamp_ns);
+    move_kept(kept, ADMITTED);
     reserve(passage, stream, chosen->outputs, chosen->sizes, chosen->count, seq, stamp_ns, source_ns, *shown_ns, size, slots);
     count_to_ros(passage, stream, chosen);
     if (stream->keeps) {
@@ -56,6 +57,7 @@ static int pass_large_to_ros(Link *self, Stream *stream, struct kept *kept, int 
     for (int i = 0; made && i < chosen.count; end += chosen.sizes[i++])
         chosen.forms[i].out = stays ? data + bulk.at - chosen.forms->room : end;
     if (made && stays) {
+        move_kept(kept, STAYS);
         memcpy(made, data, (size_t)bulk.at);
         put_frame(chosen.forms, size - bulk.at - bulk.tail, 0);
     }
@@ -84,8 +86,10 @@ static int pass_large_to_ros(Link *self, Stream *stream, struct kept *kept, int 
         fill_later(passage, unfilled, kept, made, chosen.bytes);
         return 1;
     }
-    if (made && stays)
+    if (made && stays) {
         memcpy(data, made, (size_t)bulk.at);
+        move_kept(kept, OWN);
+    }
     free(unfilled);
     free(made);
     return 0;

@@ -13,6 +13,7 @@ enum { NATIVE, PYTHON }; /* who reads a link */
 struct unsent {
     uint8_t *data;
     const struct iovec *parts; /* of the message, in the memory of that thread; NULL: it is in ``data`` */
+    struct kept *kept;         /* that memory */
     int parts_count;
     ssize_t size, sent;
     char *channel;

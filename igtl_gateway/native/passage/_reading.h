@@ -54,7 +54,7 @@ static int pass_points(Link *self)
     if (stream)
         __atomic_store_n(&stream->is_in_use, 0, __ATOMIC_RELEASE);
     if (!passed) {
-        free(kept);
+        give_back(kept);
         return 0;
     }
     leave_kept(kept);

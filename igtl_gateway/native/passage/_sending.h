@@ -39,6 +39,13 @@ static int lock_links(Stream *stream)
     return 1;
 }
 
+/* The lent message is sent, or copied. */
+static void end_lending(Link *self)
+{
+    move_kept(self->lent->kept, ADMITTED);
+    self->lent = NULL, self->lent_bytes = 0;
+}
+
 /* Free the oldest message that was not sent. */
 static void forget_unsent(Link *self)
 {
@@ -47,7 +54,7 @@ static void forget_unsent(Link *self)
         self->unsent_end = &self->unsent;
     self->unsent_bytes -= unsent->size;
     if (unsent == self->lent)
-        self->lent = NULL, self->lent_bytes = 0;
+        end_lending(self);
     free(unsent->data);
     free(unsent->channel);
     free(unsent);
@@ -69,10 +76,10 @@ static ssize_t send_behind(const Link *self, const struct iovec *parts, int coun
 }
 
 /* Send a message, of which the kernel takes at once what it has room for.  Returns what is queued of the rest, with a copy of
- * it if ``lends`` is 0; NULL: nothing.  A link that takes nothing any more, because its peer has left, is passed over.
+ * it unless ``kept``, which has its memory, is lent; NULL: nothing.  A link that takes nothing any more, because its peer has left, is passed over.
  * The caller has the lock of the link. */
 static struct unsent *send_or_queue(Link *self, const struct iovec *parts, int count, ssize_t size, struct output *output,
-                                    int lends)
+                                    struct kept *kept)
 {
     if (self->muted) {
         add(&output->ignored);
@@ -86,7 +93,7 @@ static struct unsent *send_or_queue(Link *self, const struct iovec *parts, int c
         return NULL;
     }
     struct unsent *unsent = calloc(1, sizeof *unsent);
-    lends = lends && self->clear && sent > 0;
+    int lends = kept && self->clear && sent > 0;
     uint8_t *data = lends ? NULL : malloc((size_t)size);
     self->clear = 0;
     if (!unsent) {
@@ -100,8 +107,11 @@ static struct unsent *send_or_queue(Link *self, const struct iovec *parts, int c
     *self->unsent_end = unsent;
     self->unsent_end = &unsent->next;
     self->unsent_bytes += size;
-    if (lends)
+    if (lends) {
+        move_kept(kept, LENT);
+        unsent->kept = kept;
         self->lent = unsent, self->lent_bytes = size;
+    }
     return unsent;
 }
 
@@ -109,7 +119,7 @@ static struct unsent *send_or_queue(Link *self, const struct iovec *parts, int c
  * The caller has the lock of the link. */
 static void send_to_link(Link *self, const struct iovec *parts, int count, ssize_t size, struct output *output)
 {
-    struct unsent *unsent = send_or_queue(self, parts, count, size, output, 0);
+    struct unsent *unsent = send_or_queue(self, parts, count, size, output, NULL);
     if (unsent && unsent == self->unsent)
         note_link(self);
 }
@@ -143,15 +153,16 @@ static void own_lent(Link *self)
     if ((unsent->data = malloc((size_t)unsent->size)))
         join_parts(unsent->data, unsent->parts, unsent->parts_count);
     unsent->parts = NULL;
-    self->lent = NULL, self->lent_bytes = 0;
+    end_lending(self);
 }
 
 /* Send a large message.  Where the peer is about to take the rest, this waits for that, without the lock of the link, instead
  * of copying the message for Python. */
-static void send_large_to_link(Link *self, const struct iovec *parts, int count, ssize_t size, struct output *output)
+static void send_large_to_link(Link *self, const struct iovec *parts, int count, ssize_t size, struct output *output,
+                               struct kept *kept)
 {
     pthread_mutex_lock(&self->sending->mutex);
-    const struct unsent *unsent = send_or_queue(self, parts, count, size, output, 1);
+    const struct unsent *unsent = send_or_queue(self, parts, count, size, output, kept);
     int64_t until_ns = unsent ? clock_ns(CLOCK_MONOTONIC) + ROOM_NS : 0;
     while (unsent && self->lent == unsent) { /* else it is sent, or Python has taken it */
         int64_t left_ns = until_ns - clock_ns(CLOCK_MONOTONIC);

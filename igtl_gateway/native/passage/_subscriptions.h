@@ -4,44 +4,52 @@
 
 #include "_streams.h"
 
-enum { IDLE, TAKING, WITH_PYTHON }; /* who takes from a subscription: no thread, one of the middleware, or Python */
-
+/* STATES.md has its states. */
 struct Subscription {
     PyObject_HEAD
     Passage *passage;
     const void *pointer; /* rcl_subscription_t */
     Stream *stream;      /* owned; guarded by the sequence lock; NULL: all messages are Python's */
     pthread_mutex_t state;
-    int taker, is_pending, is_ready, failure;
+    _Atomic int taker;             /* who may take; only from and to IDLE under `state` */
+    int is_pending;                /* rcl has reported a message since the taker looked last; under `state` */
+    int failure;                   /* a code of rcl that Python is to raise; of the taker, as what follows */
+    enum holds holds;
     struct rcl_serialized message; /* of the taker */
     struct rcl_message_info info;
     size_t last_size; /* of the last message */
-    int is_held;      /* the message was taken, and has not passed */
-    int is_refused;   /* it is large, and for Python */
     /* losses, for TopicSubscription */
     uint64_t last_number;
     long long received, missing;
     Subscription *next_ready;
 };
 
-/* Let a subscription wait for its turn in the thread of subscriptions.  The caller has `events`. */
+static void move_taker(Subscription *self, enum taker taker)
+{
+    int before = atomic_load_explicit(&self->taker, memory_order_relaxed);
+    atomic_store_explicit(&self->taker, moved("a subscription", TAKER_MOVES, before, taker), memory_order_relaxed);
+}
+
+static void move_holds(Subscription *self, enum holds holds)
+{
+    self->holds = (enum holds)moved("what a subscription holds", HOLDS_MOVES, self->holds, holds);
+}
+
+/* Let a subscription, which WAITS, have its turn in the thread of subscriptions.  The caller has `events`. */
 static void put_last(Passage *passage, Subscription *self)
 {
-    self->is_ready = 1;
     self->next_ready = NULL;
     *passage->ready_end = self;
     passage->ready_end = &self->next_ready;
 }
 
-/* Have that thread take from the subscription. */
+/* Have that thread take from the subscription, which WAITS. */
 static void note_subscription(Subscription *self)
 {
     Passage *passage = self->passage;
     pthread_mutex_lock(&passage->events);
-    if (!self->is_ready) {
-        put_last(passage, self);
-        pthread_cond_signal(&passage->taken_over);
-    }
+    put_last(passage, self);
+    pthread_cond_signal(&passage->taken_over);
     pthread_mutex_unlock(&passage->events);
 }
 

@@ -18,7 +18,7 @@ static int pass_taken(Subscription *self, int64_t begun_ns)
     return 1;
 }
 
-/* Pass on what was taken (`is_held`) and what is there, until nothing is left, which is RCL_RET_SUBSCRIPTION_TAKE_FAILED.
+/* Pass on what is held and what is there, until nothing is left, which is RCL_RET_SUBSCRIPTION_TAKE_FAILED.
  * Or return another code: RCL_RET_OK where a message is held for Python, where the sequence lock was not to be had, and
  * after a large one: others have their turn.
  *
@@ -30,13 +30,15 @@ static int pass_all(Subscription *self, int is_of_middleware)
     Passage *passage = self->passage;
     for (;;) {
         int code = RCL_RET_OK;
-        if (!self->is_held && (code = passage->take(self->pointer, &self->message, &self->info, NULL)) != RCL_RET_OK)
-            return code;
-        self->is_held = 1;
+        if (self->holds == EMPTY) {
+            if ((code = passage->take(self->pointer, &self->message, &self->info, NULL)) != RCL_RET_OK)
+                return code;
+            move_holds(self, HELD);
+        }
         int64_t now_ns = clock_ns(CLOCK_MONOTONIC);
         if (self->message.length > LARGEST_INPUT || !__atomic_load_n(&self->stream, __ATOMIC_RELAXED)) {
-            if (!is_of_middleware && !self->is_refused)
-                self->is_refused = !pass_held(self);
+            if (!is_of_middleware && self->holds == HELD && !pass_held(self))
+                move_holds(self, REFUSED);
             return RCL_RET_OK;
         }
         if (!is_of_middleware)
@@ -45,15 +47,15 @@ static int pass_all(Subscription *self, int is_of_middleware)
             return RCL_RET_OK;
         int64_t until_ns = clock_ns(CLOCK_MONOTONIC) + BATCH_NS; /* the time that it waited does not count */
         while (self->message.length <= LARGEST_INPUT && pass_taken(self, now_ns)) {
-            self->is_held = 0;
+            move_holds(self, EMPTY);
             now_ns = clock_ns(CLOCK_MONOTONIC);
             if (now_ns >= until_ns ||
                 (code = passage->take(self->pointer, &self->message, &self->info, NULL)) != RCL_RET_OK)
                 break;
-            self->is_held = 1;
+            move_holds(self, HELD);
         }
         unlock_sequence(passage);
-        if (self->is_held || code != RCL_RET_OK)
+        if (self->holds != EMPTY || code != RCL_RET_OK)
             return code;
     }
 }
@@ -71,7 +73,7 @@ static int pass_waiting(Subscription *self)
         pthread_mutex_lock(&self->state);
         int idle = !self->is_pending;
         if (idle)
-            self->taker = IDLE;
+            move_taker(self, IDLE);
         pthread_mutex_unlock(&self->state);
         if (idle)
             return code;
@@ -86,14 +88,14 @@ static void on_message(const void *user_data, size_t events)
     (void)events;
     pthread_mutex_lock(&self->state);
     self->is_pending = 1;
-    if (self->taker != IDLE) {
+    if (atomic_load_explicit(&self->taker, memory_order_relaxed) != IDLE) {
         pthread_mutex_unlock(&self->state);
         return;
     }
     /* A thread that publishes with the sequence lock may be called for a subscription of its own node. */
     int passes = !has_sequence(passage) && __atomic_load_n(&self->stream, __ATOMIC_RELAXED) &&
                  self->last_size <= LARGEST_INPUT; /* the next one is as large as the last */
-    self->taker = passes ? TAKING : WITH_PYTHON;
+    move_taker(self, passes ? TAKING : WAITS);
     pthread_mutex_unlock(&self->state);
     while (passes) {
         pthread_mutex_lock(&self->state);
@@ -105,12 +107,12 @@ static void on_message(const void *user_data, size_t events)
             self->failure = code == RCL_RET_OK ? 0 : code;
             passes = 0;
         } else if (!self->is_pending) {
-            self->taker = IDLE;
+            move_taker(self, IDLE);
             pthread_mutex_unlock(&self->state);
             return;
         }
         if (!passes)
-            self->taker = WITH_PYTHON;
+            move_taker(self, WAITS);
         pthread_mutex_unlock(&self->state);
     }
     note_subscription(self);

@@ -108,6 +108,8 @@ static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize
     }
     uint64_t seq = take_numbers(self, count, now_ns, stamp_ns);
     if (kept) {
+        move_kept(kept, ADMITTED);
+        move_kept(kept, FILLED); /* its bytes are recorded from where they were read */
         set_latest(stream, seq, stamp_ns, source_ns, kept);
         stream->waits = chosen.waits;
         leave_kept(kept);

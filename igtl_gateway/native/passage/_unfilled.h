@@ -36,6 +36,7 @@ static void end_unfilled(Passage *self, struct unfilled *unfilled)
         fill(unfilled->slots[i], unfilled->parts[i], unfilled->parts_counts[i]);
     count_recording(self, unfilled->direction, unfilled->passed_ns);
     attend_recorder(self);
+    move_kept(unfilled->kept, FILLED);
     leave_kept(unfilled->kept);
     free(unfilled->made);
     free(unfilled);
@@ -79,6 +80,7 @@ static void fill_later(Passage *self, struct unfilled *unfilled, struct kept *ke
         return;
     }
     pthread_mutex_lock(&self->events);
+    move_kept(kept, UNFILLED);
     *self->unfilled_end[direction] = unfilled;
     self->unfilled_end[direction] = &unfilled->next;
     self->unfilled_count[direction]++;

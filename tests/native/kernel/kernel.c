@@ -200,7 +200,7 @@ static void test_pictures(void)
     }
 }
 
-/* A text in ASCII there and back. */
+/* A string in ASCII there and back. */
 static void test_texts(void)
 {
     const struct ros_bulk stream = {.sample = (const uint8_t *)"\0\1\0\0", .size = 4, .form = TEXT};

@@ -151,7 +151,7 @@ static int pass_read(Link *self, struct rcl_serialized *message, int is_checked)
             message->buffer = NULL;
             leave_kept(kept);
         } else {
-            free(kept);
+            give_back(kept);
         }
     }
     Py_XDECREF((PyObject *)stream);

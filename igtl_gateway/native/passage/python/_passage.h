@@ -127,18 +127,20 @@ static PyObject *passage_wait_subscriptions(Passage *self, PyObject *nothing)
         }
         if (!(self->ready = one->next_ready))
             self->ready_end = &self->ready;
-        one->is_ready = 0;
+        move_taker(one, PASSING);
         pthread_mutex_unlock(&self->events);
         int code = one->failure ? one->failure : pass_waiting(one);
         pthread_mutex_lock(&self->events);
         if (code == RCL_RET_SUBSCRIPTION_TAKE_FAILED)
             continue;
-        if (code == RCL_RET_OK && !one->is_held) { /* a large one has passed */
+        if (code == RCL_RET_OK && one->holds == EMPTY) { /* a large one has passed */
             turns = 0;
+            move_taker(one, WAITS);
             put_last(self, one);
             continue;
         }
         one->failure = code == RCL_RET_OK ? 0 : code;
+        move_taker(one, WITH_PYTHON);
         one->next_ready = NULL;
         *left_end = one;
         left_end = &one->next_ready;

@@ -83,6 +83,8 @@ static PyObject *latest_bytes(Stream *self)
                                                           (Py_ssize_t)large->message.length)
                               : python_bytes(&large->message);
     if (bytes) {
+        if (!is_read)
+            move_kept(large, TAKEN);
         self->large = NULL;
         leave_kept(large);
     }

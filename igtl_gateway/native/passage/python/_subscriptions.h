@@ -42,20 +42,23 @@ static PyObject *subscription_take(Subscription *self, PyObject *nothing)
     self->failure = 0;
     if (!code) {
         Py_BEGIN_ALLOW_THREADS
+        move_taker(self, PASSING);
         code = pass_waiting(self);
+        if (code != RCL_RET_SUBSCRIPTION_TAKE_FAILED)
+            move_taker(self, WITH_PYTHON);
         Py_END_ALLOW_THREADS
     }
     if (code == RCL_RET_SUBSCRIPTION_TAKE_FAILED)
         Py_RETURN_NONE;
     if (code) {
         pthread_mutex_lock(&self->state);
-        self->taker = IDLE;
+        move_taker(self, IDLE);
         pthread_mutex_unlock(&self->state);
         return PyErr_Format(PyExc_RuntimeError, "rcl cannot take a message (code %d)", code);
     }
-    if (!self->is_held) /* a large one has passed */
+    if (self->holds == EMPTY) /* a large one has passed */
         return PyLong_FromSize_t(self->last_size);
-    self->is_held = self->is_refused = 0;
+    move_holds(self, EMPTY);
     self->last_size = self->message.length;
     PyObject *cdr = python_bytes(&self->message);
     if (!cdr)
@@ -66,6 +69,7 @@ static PyObject *subscription_take(Subscription *self, PyObject *nothing)
 static PyObject *subscription_again(Subscription *self, PyObject *nothing)
 {
     (void)nothing;
+    move_taker(self, WAITS);
     note_subscription(self);
     Py_RETURN_NONE;
 }
