@@ -33,12 +33,14 @@ class ForeseenVolume:
         whole: the whole image.
         pixels: its array.
         state: of the assembler from which it was made.
+        needs: bytes for it, while its parts are put together; 0: no more than before.
     """
 
     image: Image
     whole: Image
     pixels: npt.NDArray[Any]
     state: int
+    needs: int = 0
 
 
 class VolumeAssembler:
@@ -65,16 +67,36 @@ class VolumeAssembler:
         self._state = 0  # increases before and after each change
 
     def foreseen(self, image: Image) -> ForeseenVolume | None:
-        """Return what ``update`` would make of a part of a whole volume, and change nothing; from any thread."""
-        state, whole = self._state, self._whole
-        is_part = image.sub_size != image.dimensions
-        if not is_part or whole is None or self._seen is not None or self._form != form_of(image):
+        """Return what ``update`` would make of a part that gives a whole volume, and change nothing.
+
+        From any thread.  None for all else: a whole image, and a part of a volume that still lacks others.
+        """
+        state, whole, seen, parts, missing = self._state, self._whole, self._seen, [*self._parts], self.missing
+        if image.sub_size == image.dimensions or self._form != form_of(image):
             return None
-        if whole.nbytes > MAX_VOLUME_BYTES:
+        shape, _ = form_of(image)
+        voxels = math.prod(shape[:3])
+        size = voxels * shape[3] * image.dtype.itemsize
+        if size > MAX_VOLUME_BYTES or state != self._state:
             return None
-        pixels = whole.copy()
-        pixels[_place_of(image)] = image.array
-        return ForeseenVolume(image, _image_of(image, pixels), pixels, state) if state == self._state else None
+        new = math.prod(image.sub_size)
+        if whole is None:
+            if missing > new:
+                return None
+            parts.append(image)
+            seen = np.zeros(shape[:3], np.bool_)
+            if sum(_cover(seen, one) for one in parts) < voxels:
+                return None
+        else:
+            parts = [image]
+            if seen is not None and missing > (new - int(np.count_nonzero(seen[_place_of(image)]))):
+                return None
+        pixels = np.zeros(shape, parts[0].dtype) if whole is None else whole.copy()
+        for one in parts:
+            pixels[_place_of(one)] = one.array
+        if state != self._state:
+            return None
+        return ForeseenVolume(image, _image_of(image, pixels), pixels, state, 0 if whole is not None else size + voxels)
 
     def update(
         self, image: Image, room: int = 2 * MAX_VOLUME_BYTES, foreseen: ForeseenVolume | None = None
@@ -92,9 +114,11 @@ class VolumeAssembler:
         Raises:
             ConversionError: the volume exceeds MAX_VOLUME_BYTES, or its parts exceed ``room``.
         """
-        if foreseen and foreseen.image is image and foreseen.state == self._state:
+        if foreseen and foreseen.image is image and foreseen.state == self._state and foreseen.needs <= room:
             self._state += 1
-            self._whole = foreseen.pixels
+            if self._whole is None or self._seen is not None:  # complete now
+                self.missing, self.held = 0, foreseen.pixels.nbytes
+            self._whole, self._seen, self._parts = foreseen.pixels, None, []
             self._state += 1
             return foreseen.whole
         self._state += 1
@@ -139,7 +163,9 @@ class VolumeAssembler:
             if self._seen is None:
                 self._whole = self._whole.copy()
         for one in parts:
-            self._put(one)
+            self._whole[_place_of(one)] = one.array
+            if self._seen is not None:
+                self.missing -= _cover(self._seen, one)
         if self.missing:
             return None
         if self._seen is not None:
@@ -177,16 +203,6 @@ class VolumeAssembler:
         self._forgotten, self._is_base = None, False
         self.missing, self.held = math.prod(form[0][:3]) if form else 0, 0
 
-    def _put(self, image: Image) -> None:
-        """Write a part into the array."""
-        assert self._whole is not None
-        part = _place_of(image)
-        self._whole[part] = image.array
-        if self._seen is not None:
-            seen = self._seen[part]
-            self.missing -= seen.size - int(np.count_nonzero(seen))
-            seen[...] = True
-
 
 def form_of(image: Image) -> Form:
     """Return the form of the whole image to which a message belongs."""
@@ -198,6 +214,14 @@ def _place_of(image: Image) -> tuple[slice, slice, slice]:
     """Return where a part is in the array of the whole image."""
     (x, y, z), (nx, ny, nz) = image.subvol_offset, image.sub_size
     return slice(z, z + nz), slice(y, y + ny), slice(x, x + nx)
+
+
+def _cover(seen: npt.NDArray[np.bool_], image: Image) -> int:
+    """Note which voxels a part covers; return how many of them were missing."""
+    covered = seen[_place_of(image)]
+    new = covered.size - int(np.count_nonzero(covered))
+    covered[...] = True
+    return new
 
 
 def _image_of(newest: Image, pixels: npt.NDArray[Any]) -> Image:

@@ -7,6 +7,8 @@ torque.  SENSOR has one unit for all values, so none is set: the values are in S
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from igtl_gateway.base.errors import ConversionError
@@ -67,8 +69,13 @@ def array_to_joints(content: NdArray, to: ToRosContext) -> JointState:
                 f"NDARRAY {to.device_name!r}: found {name} of {int(has.sum())} of {count} joints, expected all or none"
             )
         values.append(rows[2 * index + 1] if has.any() else np.empty(0))
-    names = next((tuple(item.value.split(",")) for item in to.metadata if item.key == JOINT_NAMES), ())
+    names = joint_names(to.metadata)
     return JointState(Header(to.stamp_ns, to.frame_id), names if len(names) == count else (), *values)
+
+
+def joint_names(metadata: Iterable[MetadataItem]) -> tuple[str, ...]:
+    """Return the names of the joints that metadata have; () if they have none."""
+    return next((tuple(item.value.split(",")) for item in metadata if item.key == JOINT_NAMES), ())
 
 
 def joints_to_array(message: JointState, _: ToIgtlContext) -> ConvertedMessage:
@@ -93,8 +100,9 @@ def joints_to_array(message: JointState, _: ToIgtlContext) -> ConvertedMessage:
 
 
 def sensor_to_joints(content: Sensor, to: ToRosContext) -> JointState:
-    """Convert the values of a joint command to positions."""
-    return JointState(Header(to.stamp_ns, to.frame_id), (), np.asarray(content.values, np.float64))
+    """Convert the values of a joint command to positions, with the names that its metadata have for them."""
+    names, values = joint_names(to.metadata), np.asarray(content.values, np.float64)
+    return JointState(Header(to.stamp_ns, to.frame_id), names if len(names) == len(values) else (), values)
 
 
 def sensor_to_twist(content: Sensor, to: ToRosContext) -> TwistStamped:

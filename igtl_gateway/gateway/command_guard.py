@@ -7,7 +7,7 @@ which is the fate of the message, and its note has the value found and the value
 `Order`, which the edge writes at once or refuses: that is an input, too (``orders``).
 
 A stream with such a check is not compiled: neither the fast path nor the native passage has a command.
-``command_motion`` limits the speed.
+``command_motion`` limits the speed.  Joints are compared by name (``joint_order``).
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ from igtl_gateway.gateway.command_motion import (
     needed_ns,
 )
 from igtl_gateway.gateway.guard import Guard
+from igtl_gateway.gateway.joint_order import JointOrders, places
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.gateway.orders import BEGIN_AGAIN, Order, Unwritten, note_of, orders_of
@@ -58,17 +59,25 @@ _STATE_NS = NS_PER_S
 _CONTENT: dict[str, type[Body]] = {"TRANSFORM": Transform, "SENSOR": Sensor, "STRING": String}
 _SIX = 6
 _OF_JOINTS = frozenset({Motion.JOINTS, Motion.JOINT_STEPS})
+_JOINT_STATE = "measured_js"
+#: Joints that a refusal names.
+_MOST_NAMED = 12
 
 Latest = Callable[[str], Entry | None]
 
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """A command that passed: where it puts the arm, and the frame of its pose."""
+    """A command that passed: where it puts the arm, the frame of its pose, and its joints in the order of the arm.
+
+    Attributes:
+        joints: names of the joints, if the sender has named them; (): it has not.
+    """
 
     command: RobotCommand
     point: SetPoint
     frame_id: str
+    joints: tuple[str, ...] = ()
 
 
 #: Writes an order at once; returns why it did not.
@@ -90,10 +99,16 @@ class CommandGuard:
         self._arms = config.all_arms
         self._latest = latest
         self._motions = Motions()
+        self._joints = JointOrders()
         self.write: Write | None = None
         self._unwritten: dict[int, Unwritten] = {}  # orders of the message, by their number in it
         self._noted: tuple[tuple[int, ...], str] = (), ""  # links and stream of the message that a note is about
         self._orders = 0
+
+    def see(self, entry: Entry) -> None:
+        """Take notice of a message of ROS: the first that names the joints of an arm fixes their order."""
+        if self._arms and self._config.allow_in:
+            self._joints.see(entry)
 
     # -- what is written ----------------------------------------------------------------------------------------
 
@@ -169,7 +184,15 @@ class CommandGuard:
         return name is not None and name.motion is not None and arms_row(self._arms, device) is not None
 
     def check(
-        self, entry: Entry, content: Body, device: str, stamp_ns: int, frame_id: str, guard: Guard, unit: str = ""
+        self,
+        entry: Entry,
+        content: Body,
+        device: str,
+        stamp_ns: int,
+        frame_id: str,
+        guard: Guard,
+        unit: str = "",
+        names: tuple[str, ...] = (),
     ) -> Checked:
         """Check a command.
 
@@ -181,6 +204,7 @@ class CommandGuard:
             frame_id: the frame that its metadata name; "" if none.
             guard: the guard of the session, for the time of the host's clock, and for verdicts.
             unit: length unit of its sender; "": that of the arm.
+            names: of its joints, in its order; () if it has none.
 
         Raises:
             Refused: with code and text.
@@ -195,7 +219,8 @@ class CommandGuard:
         if not isinstance(content, kind):
             raise Refused("command_type", f"{device}: found {type(content).__name__}, expected {name.igtl_type}")
         arms = replace(arms, igtl_unit=unit or arms.igtl_unit)
-        command = RobotCommand(device, name, arms, namespaces(device)[0], entry.stamp_ns, stamp_ns, frame_id)
+        names = names if name.motion in _OF_JOINTS else ()
+        command = RobotCommand(device, name, arms, namespaces(device)[0], entry.stamp_ns, stamp_ns, frame_id, names)
         point = SetPoint(entry.stamp_ns, max(stamp_ns, 0))
         published = guard.verdicts.next(device) if guard.verdicts else None
         try:
@@ -206,7 +231,7 @@ class CommandGuard:
             frame = frame_id
         if published and published.type == PoseStamped.TYPE:
             frame = point.frame = PoseStamped.unpack(published.payload[0]).header.frame_id
-        return Checked(command, point, frame)
+        return Checked(command, point, frame, self._joints.of(f"{command.base}/{_JOINT_STATE}") if names else ())
 
     def _examine(self, command: RobotCommand, content: Body, point: SetPoint, now_ns: int) -> str:
         """Check all of a command, and set what it asks for; return its frame.  Raises Refused."""
@@ -219,6 +244,8 @@ class CommandGuard:
                 raise Refused("command_not_finite", f"{device}: found {list(values)}, expected finite numbers")
             point.values = values
             self._check_age(command, now_ns)
+            if command.joints:
+                point.values = values = self._in_order(command, values)
             if motion is Motion.WRENCH:
                 _check_wrench(command, values)
             else:
@@ -403,8 +430,27 @@ class CommandGuard:
             for at, step, speed in zip(measured.values, steps, limits, strict=True)
         ]
 
+    def _in_order(self, command: RobotCommand, values: tuple[float, ...]) -> tuple[float, ...]:
+        """Return the values of a command that names its joints in the order of the arm.  Raises Refused."""
+        order = self._joints.of(f"{command.base}/{_JOINT_STATE}")
+        if len(command.joints) != len(values):
+            found = f"{len(values)} values for the joints {_listed(command.joints)}"
+            raise Refused("command_joint_count", f"{command.device}: found {found}, expected one for each")
+        at = places(command.joints, order)
+        if at is None:
+            expected = f"those of {command.base}/{_JOINT_STATE}: {_listed(order) or 'none has a name'}"
+            raise Refused(
+                "command_unknown_state",
+                f"{command.device}: found the joints {_listed(command.joints)}, expected {expected}",
+            )
+        return tuple(values[index] for index in at)
+
     def _measured_joints(self, command: RobotCommand) -> SetPoint | None:
-        entry = self._latest(f"{command.base}/measured_js")
+        """Return the last measured joints of the arm in its order, unless they are invalid or too old.
+
+        Raises Refused if they have other names than before: then it is not known which joint a number is for.
+        """
+        entry = self._latest(f"{command.base}/{_JOINT_STATE}")
         if entry is None or entry.type != JointState.TYPE or command.arrived_ns - entry.stamp_ns > _STATE_NS:
             return None
         try:
@@ -413,8 +459,26 @@ class CommandGuard:
             return None
         values = np.asarray(joints.position, float)
         named = len(joints.name) in (0, len(values))
-        valid = named and len(values) and np.isfinite(values).all() and joints.header.stamp_ns > 0
-        return SetPoint(entry.stamp_ns, joints.header.stamp_ns, values.tolist()) if valid else None
+        if not (named and len(values) and np.isfinite(values).all() and joints.header.stamp_ns > 0):
+            return None
+        order = self._joints.of(entry.channel)
+        if order and joints.name != order:
+            at = places(joints.name, order)
+            if at is None:
+                found = f"the joints {_listed(joints.name)}" if joints.name else "no names of joints"
+                raise Refused(
+                    "command_unknown_state",
+                    f"{command.device}: found {found} in {entry.channel}, expected {_listed(order)}, which it had at "
+                    "first: one publisher of it, and the bridge started again after a change of the tool",
+                )
+            values = values[at]
+        return SetPoint(entry.stamp_ns, joints.header.stamp_ns, values.tolist())
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Return names of joints as they are shown in a refusal."""
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return ", ".join(repr(name[:40]) for name in names[:_MOST_NAMED]) + more
 
 
 def _check_workspace(device: str, workspace: tuple[float, ...], place: tuple[float, float, float]) -> None:

@@ -193,6 +193,8 @@ class Gateway:
             return []
         if entry.kind is Kind.IGTL_IN:
             self._robots.begin_message(entry)
+        elif entry.kind is Kind.ROS_IN:
+            self._robots.see(entry)
         try:
             outcome = stage(entry)
             if streams.has_news:

@@ -33,6 +33,7 @@ class RobotCommand:
         arrived_ns: gateway time of its arrival.
         stamp_ns: the stamp of the sender, UTC ns; 0: none.
         frame_id: the frame that its metadata name; "" if none.
+        joints: the joints that its metadata name, in its order; () if none.
     """
 
     device: str
@@ -42,6 +43,7 @@ class RobotCommand:
     arrived_ns: int
     stamp_ns: int
     frame_id: str
+    joints: tuple[str, ...] = ()
 
     @property
     def arm(self) -> str:

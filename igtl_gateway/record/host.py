@@ -46,6 +46,7 @@ class WorkerHost:
         pipe: the recorder's end.
         queue: the end that puts.
         times: of the worker's thread.
+        raise_priority: of a worker that gets no processor, and cannot see that; False: to be tried again.
         wait: waits for the worker's end, and returns how it ended, in a few words.
         warning: what is not as it should be, or ``""``.
     """
@@ -55,6 +56,7 @@ class WorkerHost:
     wait: Callable[[], str]
     times: Times = lambda: None
     warning: str = ""
+    raise_priority: Callable[[], bool] = lambda: True
 
 
 Host = Callable[[WorkerSettings, Clock], WorkerHost]
@@ -83,7 +85,13 @@ def in_process(settings: WorkerSettings, clock: Clock) -> WorkerHost:
         ours.send(settings)
     except BrokenPipeError:
         pass
-    return WorkerHost(ours, queue, wait, partial(processor_times, child.pid))
+    return WorkerHost(
+        ours,
+        queue,
+        wait,
+        partial(processor_times, child.pid),
+        raise_priority=partial(set_session_niceness, _LEVEL, child.pid),
+    )
 
 
 def _start(options: RecordOptions) -> tuple[subprocess.Popen[bytes], WorkerPipe, QueueWriter]:

@@ -2,9 +2,9 @@
 
 The state of the gateway follows from all inputs since the beginning.  Most of them have left nothing behind, so a
 few stand for all: links, inputs by which the gateway learned something (a first message of a stream, a version: it
-shows in their outputs), the last messages of mixed topics, the last accepted command to each topic of a robot, and the
-last input of each other stream, which a query may ask for.  They are kept within bounds; where a state is made of
-more, only all parts together give it.
+shows in their outputs), the first state that names the joints of a robot, the last messages of mixed topics, the last
+accepted command to each topic of a robot, and the last input of each other stream, which a query may ask for.  They are
+kept within bounds; where a state is made of more, only all parts together give it.
 
 Whether a command to a robot was accepted may follow from more than these.  So the outputs that show it follow their
 input: refusals, and what reached the robot.  The last refusal after which a stream begins again is kept, too, and so is
@@ -58,6 +58,7 @@ class Prologue:
         self._commands: _Table = OrderedDict()  # accepted, by topic; refused, so that a stream begins again, by device
         self._unwritten: _Group = ()  # the last input, if it is about the next one
         self._mixed: _Table = OrderedDict()  # by number
+        self._named: OrderedDict[str, None] = OrderedDict()  # topics of robots whose order of joints is known
         self._large: _Table = OrderedDict()  # by stream and link
         self._count = self._bytes = self._large_bytes = 0
         self._forgotten: OrderedDict[str, int] = OrderedDict()  # stream → size of its last input
@@ -126,6 +127,9 @@ class Prologue:
                 self._add(self._commands, output.channel, self._group)
             elif (note := Note.of(output.data())).code in BEGIN_AGAIN:
                 self._add(self._commands, note.data.get(REFUSED_DEVICE, ""), self._group)
+        if self._fixes_joints(entry):
+            self._named[entry.channel] = None
+            self._taught = True
         if self._sent and self._rule.aged and entry.kind is Kind.ROS_IN:
             self._add(self._last, entry.channel, self._group)
         if self._taught:
@@ -136,6 +140,15 @@ class Prologue:
                 self._pop_oldest(self._mixed)
         elif entry.kind is not Kind.EDGE_NOTE and not self._rule.is_invalid(entry):
             self._add(self._last, (entry.kind, entry.channel, entry.links), self._group)
+
+    def _fixes_joints(self, entry: Entry) -> bool:
+        """Return whether an input is the first that names the joints of a robot: their order is that of commands."""
+        if not self._rule.robots or entry.channel in self._named or not self._rule.guards(entry):
+            return False
+        # here: it imports numpy, which the recorder of no other session needs
+        from igtl_gateway.gateway.joint_order import names_of_state
+
+        return bool(names_of_state(entry))
 
     def _keep_large(self, group: _Group) -> None:
         """Keep the last of its stream: a first one taught the gateway no more than that."""

@@ -43,11 +43,12 @@ STALLED, MOVES = "record_stalled", "record_moves"
 #: And about a file that is behind what came by more than the flush interval, and that is not any more.
 LATE, ON_TIME = "record_late", "record_on_time"
 #: The listening thread looks at this interval, s; a worker that took nothing for the second time, ns, is stalled.
-_LOOK_S, _STILL_NS = 0.1, 3_000_000_000
-#: A file that is behind by the flush interval and this time is late, ns; it is on time after the second one without.
-_LATE_NS, _CALM_NS = 150_000_000, 10_000_000_000
-#: It is late if it was at this number of looks in a row.
-_LATE_LOOKS = 6
+_LOOK_S, _STILL_NS = 0.04, 3_000_000_000
+#: A file that is behind by the flush interval for this time is late, ns: with the looks, that is known 0.15 s after the
+#: interval.  It is on time after the second one without.
+_LATE_NS, _CALM_NS = 80_000_000, 10_000_000_000
+#: A worker for which more entries than this wait looks again within 0.05 s, if it gets a processor.
+_MANY = 64
 
 
 class Recorder:
@@ -99,7 +100,8 @@ class Recorder:
         self._put: deque[tuple[int, int]] = deque()  # when which number of entries had come, as far as not flushed
         self._behind_ns = self._most_behind_ns = 0  # how old the oldest entry is that a kill would lose, if it is late
         self._late_ns: int | None = None  # when it was late last
-        self._late_looks = 0  # in a row
+        self._behind_since_ns: int | None = None  # by the flush interval
+        self._raised_ns: int | None = None  # when the worker got its share from here
         self._summary: RecordingSummary | None = None
         self._sending = threading.Lock()  # of the pipe
         settings = WorkerSettings(path, dict(session), self.options, rule or StateInputRule())
@@ -351,7 +353,11 @@ class Recorder:
                 self._on_message("note", [Note(Level.INFO, MOVES, text)])
             self._done, self._done_ns, self._stalled, self._is_blocked = done, now_ns, False, False
             self._pace.begin(now_ns, 0)
-        elif not self._stalled and now_ns - self._done_ns >= _STILL_NS:
+            return
+        still_ns = now_ns - self._done_ns
+        if entries > _MANY and still_ns >= self.options.flush_s * NS_PER_S / 2:
+            self._raise_priority(now_ns)
+        if not self._stalled and still_ns >= _STILL_NS:
             self._stalled = True
             shares = self._pace.shares(now_ns)
             self._is_blocked = not self._queue.is_awaited and (shares is None or shares.cause == DISK)
@@ -361,6 +367,11 @@ class Recorder:
                 f"({size:,} bytes) wait in memory, and what it has no room for is dropped"
             )
             self._on_message("note", [Note(Level.WARN, STALLED, text)])
+
+    def _raise_priority(self, now_ns: int) -> None:
+        """Give the worker its share, once in a while: one behind all others cannot see that it is late."""
+        if (self._raised_ns is None or now_ns - self._raised_ns > _CALM_NS) and self._place.raise_priority():
+            self._raised_ns = now_ns
 
     def _watch_flushes(self) -> None:
         """Report that a kill of both processes would lose more than the flush interval, once until it does not."""
@@ -374,8 +385,12 @@ class Recorder:
         while self._put and self._put[0][1] <= flushed:
             self._put.popleft()
         behind_ns = now_ns - self._put[0][0] if self._put else 0  # at least
-        self._late_looks = self._late_looks + 1 if behind_ns > self.options.flush_s * NS_PER_S + _LATE_NS else 0
-        is_late = self._late_looks >= _LATE_LOOKS
+        if behind_ns <= self.options.flush_s * NS_PER_S:
+            self._behind_since_ns = None
+        elif self._behind_since_ns is None:
+            self._behind_since_ns = now_ns
+            self._raise_priority(now_ns)
+        is_late = self._behind_since_ns is not None and now_ns - self._behind_since_ns >= _LATE_NS
         self._behind_ns = behind_ns if is_late else 0
         self._most_behind_ns = max(self._most_behind_ns, self._behind_ns)
         if is_late:

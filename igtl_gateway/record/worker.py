@@ -82,6 +82,8 @@ _HURRY_PART, _CALM_PART = 8, 64
 #: Also where that took longer which should take less than two looks: others leave it too little time.  Then it stays
 #: raised for some time: a machine that is busy stays busy.
 _LATE_NS, _RAISED_NS = 150_000_000, 30_000_000_000
+#: It lowers its priority again at this interval, ns: the bridge may have raised it.
+_LOWER_NS = 60_000_000_000
 #: Of the greatest lateness, which flushes expect again, this part is forgotten at each look: half of it in 18 s.
 _FORGOTTEN_PART = 512
 
@@ -248,6 +250,7 @@ class _RecorderWorker:
         self._empty_ns = clock.monotonic_ns()  # when the queue was empty
         self._late_ns = 0  # since it was so before
         self._raised_ns: int | None = None  # when it was late last
+        self._ranked_ns = clock.monotonic_ns()
         self._taken = 0  # entries and commands at the last poll
         self.options = settings.options
         self._session = dict(settings.session) | settings.options.selection.facts()
@@ -658,9 +661,14 @@ class _RecorderWorker:
         self._flush_ns = interval_ns - max(min(_EARLY_NS, interval_ns // 4), min(late_ns, interval_ns * 3 // 4))
 
     def _set_hurried(self, hurried: bool) -> None:
-        """Go behind all others, as long as that does not cost entries."""
-        if hurried != self._hurried and self._rank(hurried):
-            self._hurried = hurried
+        """Go behind all others, as long as that does not cost entries.
+
+        Once in a while again: the bridge raises it where it does not get to look.
+        """
+        now_ns = self._clock.monotonic_ns()
+        again = not hurried and now_ns - self._ranked_ns > _LOWER_NS
+        if (hurried != self._hurried or again) and self._rank(hurried):
+            self._hurried, self._ranked_ns = hurried, now_ns
 
     def _apply_command(self, command: str, *words: Any) -> None:
         match command:

@@ -169,7 +169,7 @@ def regions(draw: st.DrawFn) -> tuple[Extent, Extent]:
 
 @given(st.lists(st.tuples(regions(), st.sampled_from([1, 2])), max_size=12))
 def test_as_an_array_that_is_filled(updates: list[tuple[tuple[Extent, Extent], int]]) -> None:
-    assembler = VolumeAssembler()
+    assembler, ahead = VolumeAssembler(), VolumeAssembler()
     expected = np.full((2, 2, 3, 1), -1)
     handed_out: list[tuple[Image, bytes]] = []
     for start, ((offset, size), endian) in enumerate(updates):
@@ -177,8 +177,13 @@ def test_as_an_array_that_is_filled(updates: list[tuple[tuple[Extent, Extent], i
         (x, y, z), (nx, ny, nz) = offset, size
         where = (slice(z, z + nz), slice(y, y + ny), slice(x, x + nx))
         expected[where] = values[where]
-        whole = assembler.update(part(values, offset, size, 5, endian))
+        image = part(values, offset, size, 5, endian)
+        whole = assembler.update(image)
         missing = np.count_nonzero(expected < 0)
+        foreseen = ahead.foreseen(image)
+        assert (foreseen is not None) == (not missing and size != (3, 2, 2)), "also of one that its last part completes"
+        same = ahead.update(image, foreseen=foreseen)
+        assert same == whole and (ahead.missing, ahead.held) == (assembler.missing, assembler.held)
         assert (
             assembler.missing <= missing
         )  # overlapping parts are only distinguished when the volume might be complete

@@ -23,7 +23,7 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
-from igtl_gateway.base.clock import ManualClock, SystemClock
+from igtl_gateway.base.clock import Clock, ManualClock, SystemClock
 from igtl_gateway.base.errors import DamagedRecording, RecordingError
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -31,7 +31,7 @@ from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record import host
 from igtl_gateway.record import recorder as recorder_module
 from igtl_gateway.record import worker as worker_module
-from igtl_gateway.record.host import in_thread
+from igtl_gateway.record.host import WorkerHost, in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.retention.retention_log import RetentionLog
@@ -43,6 +43,7 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.seal_check import SEALED, check_seal
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.record.shared_queue import QueueReader
+from igtl_gateway.record.worker import WorkerSettings
 from tests.places import ROOT
 from tests.processes import kill
 from tests.record import samples
@@ -805,15 +806,15 @@ def test_a_disk_that_does_not_answer_is_reported_while_it_does_not(path: Path, m
 
     monkeypatch.setattr(SessionWriter, "write", slow)
     bench.recorder(samples.ros(1))
-    while not bench.notes:
+    while not (stalled := [note for note in bench.notes if note.code == recorder_module.STALLED]):
         bench.clock.advance(1_000_000_000)
         threading.Event().wait(0.05)
-    (note,) = bench.notes
-    assert (note.level, note.code) == (Level.WARN, recorder_module.STALLED)
+    (note,) = stalled
+    assert note.level is Level.WARN
     assert "the disk does not answer" in note.text and bench.recorder.facts()["stalled_s"] > 0
     go_on.set()
-    bench.wait_notes(2)
-    assert bench.notes[1].code == recorder_module.MOVES and bench.recorder.facts()["stalled_s"] == 0
+    wait_until(lambda: any(note.code == recorder_module.MOVES for note in bench.notes))
+    assert bench.recorder.facts()["stalled_s"] == 0
     assert bench.recorder.close({}).entries == 1
 
 
@@ -1157,7 +1158,9 @@ def test_a_file_that_is_behind_is_said_while_it_is(path: Path, monkeypatch: pyte
         for seq in range(1, 12):
             bench.recorder(samples.igtl(seq))
         wait_until(lambda: len(bench.recorder._put) > 0)
-        bench.clock.advance(1_500_000_000)
+        bench.clock.advance(1_400_000_000)
+        wait_until(lambda: bench.recorder._behind_since_ns is not None)
+        bench.clock.advance(100_000_000)
         wait_until(lambda: any(note.code == recorder_module.LATE for note in bench.notes))
         assert bench.recorder.counters()["behind_s"] == 1.5
         (note,) = (note for note in bench.notes if note.code == recorder_module.LATE)
@@ -1166,4 +1169,36 @@ def test_a_file_that_is_behind_is_said_while_it_is(path: Path, monkeypatch: pyte
     wait_until(lambda: bench.recorder.counters()["behind_s"] == 0)
     bench.clock.advance(11_000_000_000)
     wait_until(lambda: any(note.code == recorder_module.ON_TIME for note in bench.notes))
+    bench.recorder.close({"streams": {}})
+
+
+def test_one_that_takes_nothing_for_half_the_interval_gets_its_share_before_the_file_is_late(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    raised: list[int] = []
+
+    def raise_priority() -> bool:
+        raised.append(bench.clock.monotonic_ns())
+        return len(raised) > 1  # the system refuses it at first
+
+    def place(settings: WorkerSettings, clock: Clock) -> WorkerHost:
+        return replace(host.in_thread(settings, clock), raise_priority=raise_priority)
+
+    monkeypatch.setattr(sys.modules[__name__], "in_thread", place)
+    with monkeypatch.context() as stopped:
+        stopped.setattr(QueueReader, "get", lambda _queue: None)  # as if it got no processor
+        stopped.setattr(QueueReader, "rows", lambda _queue: (memoryview(b""), 0, 0))
+        bench = Bench(path)
+        for seq in range(1, 200):
+            bench.recorder(samples.igtl(seq))
+        wait_until(lambda: len(bench.recorder._put) > 0)
+        bench.clock.advance(260_000_000)
+        wait_until(lambda: len(raised) == 2)
+        assert not bench.notes
+        bench.clock.advance(250_000_000)
+        wait_until(lambda: bench.recorder._behind_since_ns is not None)
+        bench.clock.advance(100_000_000)
+        bench.wait_notes(1)
+        assert bench.notes[0].code == recorder_module.LATE
+        assert len(raised) == 2, "once in a while"
     bench.recorder.close({"streams": {}})

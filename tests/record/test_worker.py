@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import signal
 import subprocess
 import sys
 import threading
@@ -19,6 +20,7 @@ from hypothesis import HealthCheck, given, settings
 from igtl_gateway.base.clock import Clock, ManualClock, SystemClock
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record import host, shared_queue
 from igtl_gateway.record.host import WorkerHost, in_process, in_thread
 from igtl_gateway.record.options import RecordOptions
@@ -35,6 +37,14 @@ from tests.record import samples
 
 DEADLINE_S = 60
 QUEUE_BYTES = 1 << 20
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    rest, looks = threading.Event(), 0
+    while not condition():
+        assert looks < DEADLINE_S * 20
+        rest.wait(0.05)
+        looks += 1
 
 
 class Hasty:
@@ -278,3 +288,38 @@ def test_its_process_imports_no_gateway_and_no_numpy() -> None:
     ask = "import sys, igtl_gateway.record.host; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True).stdout.split()
     assert not {"numpy", "igtl_gateway.gateway.core", "igtl_gateway.record.sessionfile.reader"} & {*loaded}
+
+
+@pytest.mark.skipif(not knows_sessions(), reason="this system does not know sessions' niceness")
+def test_the_bridge_raises_one_that_gets_no_processor(tmp_path: Path) -> None:
+    """Behind all others it does not get to see that it is late; a stopped process is the worst of these."""
+    notes: list[Note] = []
+    children: list[subprocess.Popen[bytes]] = []
+    start = subprocess.Popen
+
+    def started(*words: Any, **more: Any) -> subprocess.Popen[bytes]:
+        children.append(start(*words, **more))
+        return children[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(subprocess, "Popen", started)
+        recorder = Recorder(
+            tmp_path / "a.mcap",
+            samples.SESSION,
+            qos_of=lambda *_: None,
+            on_note=notes.append,
+            clock=SystemClock(),
+            host=in_process,
+        )
+    (child,) = children
+    place = Path(f"/proc/{child.pid}/autogroup")
+    wait_until(lambda: place.read_text().split()[-1] == "10")
+    child.send_signal(signal.SIGSTOP)
+    try:
+        for seq in range(1, 200):
+            recorder(samples.igtl(seq))
+        wait_until(lambda: place.read_text().split()[-1] == "0")
+        wait_until(lambda: any(note.code == "record_late" for note in notes))
+    finally:
+        child.send_signal(signal.SIGCONT)
+    assert recorder.close({}).entries == 199

@@ -45,11 +45,12 @@ if sys.platform == "win32":
         """
         _KERNEL.SetPriorityClass(ctypes.c_void_p(_KERNEL.GetCurrentProcess()), _IDLE_PRIORITY_CLASS)
 
-    def set_session_niceness(niceness: int) -> bool:
+    def set_session_niceness(niceness: int, pid: int = 0) -> bool:
         """Do nothing: Windows has no sessions.
 
         Args:
             niceness: not used.
+            pid: not used.
         """
         return True
 
@@ -69,7 +70,7 @@ else:
     import resource
 
     _PR_SET_PDEATHSIG = 1
-    _SESSION_NICENESS = "/proc/self/autogroup"
+    _SESSION_NICENESS = "/proc/{}/autogroup"
     #: Loaded before any fork.
     _LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
 
@@ -105,14 +106,20 @@ else:
                 os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
             os.nice(niceness)
 
-    def set_session_niceness(niceness: int) -> bool:
-        """Set the niceness of the session of this process; False if that is to be tried again.
+    def set_session_niceness(niceness: int, pid: int = 0) -> bool:
+        """Set the niceness of the session of a process; False if that is to be tried again.
 
         Linux may give each session the same share, whatever the niceness of its processes (autogroup).  All sessions
         together may change theirs ten times a second.
+
+        Args:
+            niceness: from 0 on, it may be lowered again.
+            pid: of the process; 0: this one.
         """
         try:
-            handle = os.open(_SESSION_NICENESS, os.O_WRONLY)  # no file object: it may be between fork and exec
+            handle = os.open(
+                _SESSION_NICENESS.format(pid or "self"), os.O_WRONLY
+            )  # no file object: it may be between fork and exec
         except OSError:  # the system has no sessions
             return True
         try:

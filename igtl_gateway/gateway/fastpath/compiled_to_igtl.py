@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.stamp import ns_to_ticks
 from igtl_gateway.convert.express import FillTemplate
 from igtl_gateway.gateway.guarded_stream import GuardedStream
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -14,6 +15,7 @@ from igtl_gateway.gateway.log.fates import CONVERTED
 from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer
+from igtl_gateway.wire.header import TICKS_AT, U64
 
 #: The translation at the beginning of a pose in CDR.
 _PLACE = struct.Struct("<3d")
@@ -69,18 +71,20 @@ class CompiledToIgtl:
         self.watched = watched
         self._place, self._place_at = _PLACE if place_at else None, place_at or 0
         self.is_pose = place_at is not None
+        # the CRC is not that of the header, and the digits of no form are those of the message's stamp
+        self._is_patched = all(digits_at >= -1 for _, _, digits_at in self.forms)
 
     def prepare(self, payload: Sequence[Buffer], source_ns: int) -> tuple[Any, ...] | bool:
         """Convert a message before it has a number; else return whether the full path has to convert it.
 
-        False: the result depends on its gateway time.
+        False: the result depends on its gateway time.  Where only the header has that, it gets it later: ``_stamped``.
         """
-        if not self.own:
+        if not (self.own or self._is_patched):
             return False
         made = self._convert(payload, source_ns, _NO_TIME)
         if made is None:
             return source_ns > 0  # without a stamp of the sender, its metadata may have that of the gateway
-        return made if made[0] != _NO_TIME else False
+        return made if made[0] != _NO_TIME or self._is_patched else False
 
     def _convert(self, payload: Sequence[Buffer], source_ns: int, stamp_ns: int) -> tuple[Any, ...] | None:
         return self._fill(
@@ -109,6 +113,8 @@ class CompiledToIgtl:
 
         ``made``: result of ``prepare``.
         """
+        if made and made[0] == _NO_TIME:
+            made = _stamped(made, stamp_ns)
         made = made or self._convert(payload, source_ns, stamp_ns)
         if made is None:
             return None
@@ -144,3 +150,14 @@ class CompiledToIgtl:
                 )
             )
         return entries
+
+
+def _stamped(made: tuple[Any, ...], stamp_ns: int) -> tuple[Any, ...]:
+    """Return what was made without a time, with gateway time: more buffers, so that none is copied."""
+    ticks = U64.pack(ns_to_ticks(stamp_ns))
+    return stamp_ns, *(_with_ticks(one if type(one) is tuple else (one,), ticks) for one in made[1:])
+
+
+def _with_ticks(message: tuple[Buffer, ...], ticks: bytes) -> tuple[Buffer, ...]:
+    head, *more = message
+    return bytes(head[:TICKS_AT]) + ticks, memoryview(head)[TICKS_AT + len(ticks) :], *more

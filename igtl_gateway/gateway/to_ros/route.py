@@ -6,13 +6,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+
 from igtl_gateway.base.errors import ConversionError, MalformedBody, WireError
 from igtl_gateway.base.stamp import ticks_to_ns
 from igtl_gateway.config.configuration import COMMAND_QOS, Config
 from igtl_gateway.convert.context import ToRosContext
+from igtl_gateway.convert.igtl_msgs import MetadataItem
+from igtl_gateway.convert.robots import JOINT_NAMES, joint_names
 from igtl_gateway.convert.tracking import MAX_TOOLS
 from igtl_gateway.convert.units import LengthUnits
-from igtl_gateway.gateway.command_guard import CommandGuard, Refused
+from igtl_gateway.gateway.command_guard import Checked, CommandGuard, Refused
 from igtl_gateway.gateway.guard import STALE, Guard, GuardedStream, check_stamp, translation_of
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.fates import CONVERTED, REFUSED_DEVICE, UNSUBSCRIBED
@@ -34,6 +38,7 @@ from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.query import is_dialogue
 from igtl_gateway.wire.registry import read_child
+from igtl_gateway.wire.sensor import Sensor
 from igtl_gateway.wire.tracking import QuaternionTrackingData, TrackingData
 from igtl_gateway.wire.transform import Position, Transform
 from igtl_gateway.wire.video import Video
@@ -77,9 +82,20 @@ class Router:
         stamp_ns = restored.stamp_ns or ticks_to_ns(message.ticks)
         try:
             unit = self._arm_unit(entry.links[0])
-            checked = self._robots.check(entry, message.content, device, stamp_ns, restored.frame_id, self._guard, unit)
+            checked = self._robots.check(
+                entry,
+                message.content,
+                device,
+                stamp_ns,
+                restored.frame_id,
+                self._guard,
+                unit,
+                joint_names(restored.items),
+            )
         except Refused as error:
             return self._refused(entry, device, error)
+        if checked.joints:
+            message, restored = _in_order(checked, message, restored)
         outcome = self._routed(entry, message, restored, checked.frame_id)
         if outcome.fate == CONVERTED:
             outputs = [item for item in outcome.items if isinstance(item, Output)]
@@ -214,3 +230,12 @@ class Router:
                 continue
             items += self.route(alone, inner, its).items
         return items
+
+
+def _in_order(checked: Checked, message: Message, restored: RestoredMetadata) -> tuple[Message, RestoredMetadata]:
+    """Return a command that names its joints with these, and their values, in the order of the arm."""
+    assert isinstance(message.content, Sensor)  # the guard has refused all else
+    content = replace(message.content, values=np.asarray(checked.point.values, ">f8"))
+    named = MetadataItem(JOINT_NAMES, 0, ",".join(checked.joints))
+    items = tuple(named if item.key == JOINT_NAMES else item for item in restored.items)
+    return replace(message, content=content), replace(restored, items=items)

@@ -29,7 +29,7 @@ class Volumes:
         return self._assemblers.get(device)
 
     def foreseen(self, device: str, image: Image) -> ForeseenVolume | None:
-        """Return what ``assembled`` would, and change nothing, for a part of a whole image; from any thread."""
+        """Return what ``assembled`` would, and change nothing, for a part that gives a whole image; from any thread."""
         assembler = self._assemblers.get(device)
         return assembler.foreseen(image) if assembler else None
 

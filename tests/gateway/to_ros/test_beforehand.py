@@ -128,6 +128,10 @@ def parts_of_volumes() -> Iterator[bytes]:
         two = [image((0, 0, 1), row, number), image((0, 2, 0), row, number)]
         children = [BindChild("IMAGE", "Scan", join(one.pack())) for one in two]
         yield message("BIND", "Both", Bind(tuple(children)))
+    for number, rows in enumerate(([(0, 1), (1, 2)], [(0, 2), (0, 2), (2, 1)], [(0, 3), (1, 2), (0, 1)]), 20):
+        for layer in range(2):  # complete with its last part, which may overlap others
+            for endian, (first, many) in enumerate(rows):
+                yield message("IMAGE", f"Built{number}", image((0, first, layer), (4, many, 1), number, 1 + endian % 2))
 
 
 def test_a_part_of_a_volume_makes_the_whole_before_its_turn(monkeypatch: pytest.MonkeyPatch) -> None:
