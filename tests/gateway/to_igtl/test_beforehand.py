@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -85,9 +86,10 @@ def test_a_compiled_message_with_gateway_time_is_converted_before_it_has_that(
         for turn in range(4):
             for number, (_, _, plain) in enumerate(published()):
                 topic, now_ns = f"/t{number}", T0_NS + (turn * 1_000 + number) * 1_000_000
-                header, message = getattr(plain, "header", None), plain
+                header: Any = getattr(plain, "header", None)
+                message: Any = plain
                 if header and turn % 2:  # without a stamp
-                    message = replace(plain, header=replace(header, stamp_ns=0))
+                    message = replace(message, header=replace(header, stamp_ns=0))
                 cdr = message.pack()
                 prepared = session.prepare(Kind.ROS_IN, cdr, topic, message.TYPE, (), 0) if early else None
                 ready += isinstance(prepared, tuple) and prepared[1][0] == 0
