@@ -223,6 +223,173 @@ static void test_texts(void)
     }
 }
 
+/* A Marker of triangles from the bytes of its pose on: points, no colours, and empty strings and sequences behind them. */
+enum { POSE_AT = 12, COUNT_AT = 96, PLACES_AT = 100 };
+
+static uint8_t *marker_of(ssize_t points, ssize_t *size)
+{
+    *size = PLACES_AT + 24 * points + 48;
+    uint8_t *cdr = bytes_of(*size);
+    memset(cdr, 0, (size_t)*size);
+    memcpy(cdr, "\0\1\0\0", 4);
+    put_word(cdr + COUNT_AT, points);
+    for (ssize_t i = 0; i < 3 * points; i++) {
+        double value = (double)(int32_t)any() / 1024.0;
+        memcpy(cdr + PLACES_AT + 8 * i, &value, 8);
+    }
+    return cdr;
+}
+
+static void test_markers(void)
+{
+    uint8_t sample[PLACES_AT] = {0, 1};
+    const double scale[3] = {1, 1, 1};
+    memcpy(sample + POSE_AT + 56, scale, sizeof scale);
+    for (ssize_t points = 3; points < 3000; points *= 4) {
+        struct ros_bulk stream = {.sample = sample, .size = PLACES_AT, .form = TRIANGLES, .times = 1, .by = 1};
+        const ssize_t numbers[8] = {POSE_AT, PLACES_AT, 12, PLACES_AT - COUNT_AT, 4, 8, 0, 4};
+        ssize_t size, made = 0;
+        uint8_t *cdr = marker_of(points, &size), *data = NULL;
+        CHECK(set_places(&stream, numbers, 8));
+        CHECK(points % 3 || (data = to_igtl(&stream, cdr, size, &made)));
+        CHECK(!data || (get_u32(data + HEAD) == (uint32_t)points && get_u32(data + HEAD + 20) == (uint32_t)points / 3));
+        free(data);
+        for (ssize_t at = PLACES_AT + 24 * points; at + 4 <= size; at += 4) { /* a length that reaches beyond the message */
+            uint32_t before = get_u32_ros(cdr + at);
+            put_u32_ros(cdr + at, below(2) ? UINT32_MAX : (uint32_t)(size - at));
+            free(to_igtl(&stream, cdr, size, &made));
+            put_u32_ros(cdr + at, before);
+        }
+        uint8_t *cut = bytes_of(size - 5);
+        memcpy(cut, cdr, (size_t)size - 5);
+        for (ssize_t less = size - 5; less > PLACES_AT; less -= 1 + (ssize_t)below(40))
+            free(to_igtl(&stream, cut, less, &made));
+        free(cut), free(cdr);
+    }
+}
+
+/* Clouds of points of 12 and of 20 bytes, as POLYDATA and as POINT. */
+static void test_clouds(void)
+{
+    enum { HEIGHT_AT = 12, DATA_AT = 48 };
+    uint8_t sample[DATA_AT] = {0, 1}, template[64];
+    for (ssize_t step = 12; step <= 20; step += 8)
+        for (ssize_t count = 1; count < 2000; count = count * 3 + 1) {
+            ssize_t size = DATA_AT + step * count + 1, made = 0;
+            uint8_t *cdr = bytes_of(size);
+            memset(cdr, 0, DATA_AT);
+            cdr[1] = 1;
+            put_word(cdr + HEIGHT_AT, 1), put_word(cdr + HEIGHT_AT + 4, count);
+            put_word(cdr + DATA_AT - 8, step * count), put_word(cdr + DATA_AT - 4, step * count);
+            for (ssize_t i = 0; i < step * count; i += 4)
+                put_u32_ros(cdr + DATA_AT + i, word_of((float)(int32_t)any() / 1024.0f));
+            for (int form = POINTS; form <= CLOUD; form++) {
+                struct ros_bulk stream = {.sample = sample, .size = DATA_AT, .form = form, .times = 1, .by = 1};
+                const ssize_t numbers[8] = {HEIGHT_AT, DATA_AT, step, 0, 4, 8, 0, 4};
+                CHECK(set_places(&stream, numbers, 8));
+                uint8_t *data = to_igtl(&stream, cdr, size, &made);
+                CHECK(data != NULL);
+                memset(template, 0, sizeof template);
+                struct ros_form back = {.form = form, .template = template, .room = 64, .stamp_at = 4, .width_at = 16};
+                CHECK(has_room(&back));
+                uint8_t *again = data ? to_ros(&back, data, made) : NULL;
+                CHECK(again && back.count == count);
+                ssize_t row = form == CLOUD ? ROW_OF_CLOUD : ROW_OF_POINTS;
+                for (ssize_t i = 0; again && i < count; i++)
+                    CHECK(!memcmp(again + 64 + row * i, cdr + DATA_AT + step * i, 12));
+                free(data), free(again);
+            }
+            put_word(cdr + HEIGHT_AT + 4, count + 1); /* more points than there are bytes */
+            struct ros_bulk stream = {.sample = sample, .size = DATA_AT, .form = CLOUD, .times = 1, .by = 1};
+            const ssize_t numbers[8] = {HEIGHT_AT, DATA_AT, step, 0, 4, 8, 0, 4};
+            CHECK(set_places(&stream, numbers, 8) && !to_igtl(&stream, cdr, size, &made));
+            free(cdr);
+        }
+}
+
+/* A TRANSFORM into a template and back; what differs from the sample is refused. */
+static void test_pose_streams(void)
+{
+    const ssize_t size = HEADER_SIZE + MATRIX_BYTES;
+    uint8_t *sample = bytes_of(size);
+    put_u64(sample + BODY_SIZE_AT, MATRIX_BYTES);
+    const struct igtl_poses stream = {sample, size, HEADER_SIZE, MATRIX_BYTES, 1, 1.0, 1000.0};
+    for (int i = 0; i < 500; i++) {
+        double given[7] = {1, 2, 3}, numbers[12], pose[7];
+        for (int k = 3; k < 7; k++)
+            given[k] = (double)any() / UINT32_MAX - 0.5;
+        uint8_t *message = bytes_of(size);
+        memcpy(message, sample, (size_t)size);
+        CHECK(numbers_of_pose((const uint8_t *)given, MATRIX_BYTES, 1000.0, 1.0, numbers));
+        put_u64(message + TICKS_AT, any());
+        put_igtl_pose(message, size, HEADER_SIZE, MATRIX_BYTES, 0, numbers, 0, 0);
+        CHECK(pose_from_igtl(&stream, message, size, pose) && fabs(pose[1] - 2) < 1e-6);
+        CHECK(!pose_from_igtl(&stream, message, size - 1, pose));
+        message[HEADER_SIZE + (ssize_t)below(MATRIX_BYTES)] ^= 1; /* the CRC */
+        CHECK(!pose_from_igtl(&stream, message, size, pose));
+        message[below(TICKS_AT)] ^= 1; /* the names */
+        CHECK(!pose_from_igtl(&stream, message, size, pose));
+        free(message);
+    }
+    free(sample);
+}
+
+/* Tools of tracking data: rows that reach beyond the sample are refused, the others are filled. */
+static void test_tools(void)
+{
+    enum { TOOLS_HERE = 3, WIDTH = TOOL_HEAD + MATRIX_BYTES, SIZE = 300 };
+    const ssize_t size = SIZE + TOOLS_HERE * WIDTH + ROW_FROM_ROS * (TOOLS_HERE + 2);
+    uint8_t *sample = bytes_of(size), *cdr = bytes_of(SIZE);
+    struct ros_bulk stream = {.sample = sample, .size = size, .form = TOOLS, .times = 1, .by = 1};
+    const ssize_t numbers[6] = {TOOLS_HERE, SIZE, WIDTH, 0, 0, 0};
+    memcpy(cdr, sample, SIZE);
+    for (int i = 0; i < TOOLS_HERE + 2; i++) {
+        uint8_t *row = sample + SIZE + TOOLS_HERE * WIDTH + ROW_FROM_ROS * i;
+        put_word(row, 100), put_word(row + 4, 120);
+        put_word(row + 8, 120 + POSE_BYTES * (i % TOOLS_HERE));
+    }
+    for (int i = 0; i < TOOLS_HERE; i++) {
+        const double pose[7] = {1, 2, 3, 0, 0, 0, 1};
+        memcpy(cdr + 120 + POSE_BYTES * i, pose, sizeof pose);
+    }
+    ssize_t made = 0;
+    CHECK(set_places(&stream, numbers, 6));
+    uint8_t *data = to_igtl(&stream, cdr, SIZE, &made);
+    CHECK(data && made == HEAD + TOOLS_HERE * WIDTH);
+    free(data);
+    cdr[110] ^= 1;
+    CHECK(!to_igtl(&stream, cdr, SIZE, &made));
+    for (int i = 0; i < 3000; i++) { /* any rows */
+        uint8_t *word = sample + SIZE + TOOLS_HERE * WIDTH + (ssize_t)(4 * below(3 * (TOOLS_HERE + 2)));
+        put_u32_ros(word, below(3) ? below(SIZE) : any());
+        if (set_places(&stream, numbers, 6))
+            free(to_igtl(&stream, cdr, SIZE, &made));
+    }
+    free(sample), free(cdr);
+}
+
+static void test_metadata(void)
+{
+    uint8_t *sizes = bytes_of(EXTENDED_SIZE), *block = bytes_of(30);
+    const struct metadata known = {sizes, block, 30}, none = {NULL, NULL, 0};
+    for (ssize_t size = HEADER_SIZE; size < HEADER_SIZE + EXTENDED_SIZE + 60; size++) {
+        uint8_t *message = bytes_of(size);
+        int has_room = size >= HEADER_SIZE + EXTENDED_SIZE + 30;
+        if (has_room) {
+            memcpy(message + HEADER_SIZE, sizes, EXTENDED_SIZE);
+            memcpy(message + size - 30, block, 30);
+            message[MESSAGE_ID_AT] ^= 1; /* the message id may differ */
+        }
+        CHECK(has_metadata(&known, message, size) == has_room && has_metadata(&none, message, size));
+        if (has_room) {
+            message[size - 1] ^= 1;
+            CHECK(!has_metadata(&known, message, size));
+        }
+        free(message);
+    }
+    free(sizes), free(block);
+}
+
 /* With and without AVX2, the loops give the same bytes. */
 static void test_both_loops(void)
 {
@@ -369,6 +536,11 @@ int main(int count, char **words)
         test_meshes();
         test_pictures();
         test_texts();
+        test_markers();
+        test_clouds();
+        test_pose_streams();
+        test_tools();
+        test_metadata();
         test_queue();
         for (long i = 0; i < rounds; i++) {
             foreign_igtl();
