@@ -29,7 +29,7 @@ from igtl_gateway.wire.query import (
     StartVideo,
     is_dialogue,
 )
-from igtl_gateway.wire.registry import BODIES, describe_content, read_content
+from igtl_gateway.wire.registry import BODIES, BULKY, describe_content, read_content
 from igtl_gateway.wire.sensor import Sensor, parse_unit
 from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET, Trajectories
@@ -39,6 +39,7 @@ from igtl_gateway.wire.video import Video
 __all__ = [
     "BIG_ENDIAN",
     "BODIES",
+    "BULKY",
     "CELL",
     "COMMAND_NAME_WIDTH",
     "DEVICE_NAME_AT",

@@ -29,15 +29,13 @@ from igtl_gateway.gateway.acceptance import DEFAULT_ACCEPTANCE, Acceptance
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.record.sessionfile.bulk import MessageBlock
 from igtl_gateway.wire.message import metadata_of
-from igtl_gateway.wire.registry import describe_content
+from igtl_gateway.wire.registry import BULKY, describe_content
 
 try:
     import pyarrow as pa
 except ImportError as error:
     raise Unavailable(missing("pyarrow", error)) from None
 
-#: Types whose fields are taken as they are: ``describe`` shortens them for people.
-_BULKY = frozenset({"IMAGE", "POLYDATA", "VIDEO", "COLORT", "COLORTABLE", "NDARRAY"})
 #: Field of such a message that is an array of lengths → its name with the unit.
 _BULKY_NAMES = {"points": "points_mm"}
 _SURROGATES = re.compile(r"[\ud800-\udfff]")
@@ -128,7 +126,7 @@ class TableMaker:
     def _fields(self, payload: memoryview) -> Fields:
         if self._is_igtl:
             content = self._acceptance.message(payload).content
-            if self._type in _BULKY:
+            if self._type in BULKY:  # as they are: ``describe`` shortens them for people
                 return _flat("", dict(self._bulky(*each) for each in _raw_fields(content).items()))
             return _flat("", name_igtl_fields(describe_content(content), self._unit))
         if not self._definitions.get(self._type):

@@ -18,6 +18,7 @@ from igtl_gateway.wire.fields import decode_text, encode_text, visible
 from igtl_gateway.wire.header import TYPE_SIZE
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
 from igtl_gateway.wire.name_table import COUNT, need, pack_names, read_count, read_names
+from igtl_gateway.wire.traits import Traits
 
 #: How deep BIND may lie in BIND, the outermost counted.  Real messages have one level.
 MAX_DEPTH = 4
@@ -71,6 +72,7 @@ class Bind:
     """
 
     PROTOCOL: ClassVar[str] = "2"
+    TRAITS: ClassVar[Traits] = Traits(ns_per_byte=1_500)
     LAYOUT: ClassVar[Layout] = (
         Field("count", "u16", 1, "number of children"),
         Field("type", "char", TYPE_SIZE, "type name", per="child"),

@@ -11,6 +11,7 @@ from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
 from igtl_gateway.wire.header import TYPE_SIZE
 from igtl_gateway.wire.layout import Field, Layout
+from igtl_gateway.wire.traits import SHORT, Traits
 
 #: Far more than there are types; a list of the largest body would take gigabytes as text.
 MAX_TYPES = 65_535
@@ -27,6 +28,7 @@ class Capability:
     """
 
     PROTOCOL: ClassVar[str] = "1"
+    TRAITS: ClassVar[Traits] = Traits(SHORT, ns_per_byte=40)
     LAYOUT: ClassVar[Layout] = (Field("type", "char", TYPE_SIZE, "type name", per="type"),)
     MAY_BE_EMPTY: ClassVar[bool] = True
     types: tuple[str, ...]

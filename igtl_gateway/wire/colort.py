@@ -14,6 +14,7 @@ from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.body import describe_values
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
+from igtl_gateway.wire.traits import SHORT, Traits
 
 #: Type of the index → entries of the table.
 ENTRIES = {3: 256, 5: 65_536}
@@ -34,6 +35,7 @@ class ColorTable:
     """
 
     PROTOCOL: ClassVar[str] = "2"
+    TRAITS: ClassVar[Traits] = Traits(SHORT, is_bulky=True)
     LAYOUT: ClassVar[Layout] = (Field("index_type", "u8"), Field("map_type", "u8"), Field("table", "bytes", "the rest"))
     _HEAD: ClassVar[Struct] = compile_struct(LAYOUT)
 

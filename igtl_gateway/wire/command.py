@@ -13,6 +13,7 @@ from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
 from igtl_gateway.wire.text import US_ASCII, mib_of, text_of
+from igtl_gateway.wire.traits import LIST, Traits
 
 #: The document calls the width of the name IGT_COMMAND_SIZE and gives no number; the library's code does.
 NAME_WIDTH = 128
@@ -34,6 +35,7 @@ class Command:
     """
 
     PROTOCOL: ClassVar[str] = "3.0"
+    TRAITS: ClassVar[Traits] = Traits(LIST, ns_per_byte=20)
     LAYOUT: ClassVar[Layout] = (
         Field("command_id", "u32"),
         Field("name", "char", NAME_WIDTH),

@@ -9,25 +9,15 @@ from struct import Struct
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.wire.header import BODY_SIZE, HEADER_SIZE
+from igtl_gateway.wire.registry import BODIES
+from igtl_gateway.wire.traits import traits_of
 
 #: What takes longer is handled aside, and converted before its turn.
 AT_ONCE_NS = 1_000_000
 
-#: Type → ns for each byte of its content: each element of a list is an object in Python.
+#: Type → ns for each byte of its content.
 _NS_PER_BYTE = {
-    b"BIND": 1_500,
-    b"TDATA": 300,
-    b"QTDATA": 300,
-    b"TRAJ": 50,
-    b"POINT": 50,
-    b"IMGMETA": 35,
-    b"LBMETA": 70,
-    b"VIDEOMETA": 100,
-    b"CAPABILITY": 40,
-    b"CAPABIL": 40,
-    b"COMMAND": 20,
-    b"RTS_COMMAND": 20,
-    b"NDARRAY": 10,
+    name.encode(): ns for name, content in BODIES.items() if (ns := traits_of(content).ns_per_byte) is not None
 }
 #: Of POLYDATA: where all cells have one size, where they have not, and for each attribute.
 _NS_PER_EVEN_BYTE, _NS_PER_ODD_BYTE, _NS_PER_ATTRIBUTE = 15, 200, 10_000

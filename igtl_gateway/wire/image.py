@@ -16,6 +16,7 @@ from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.body import describe_crc, describe_values
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
+from igtl_gateway.wire.traits import Traits
 from igtl_gateway.wire.transform import pack_floats, unpack_floats
 
 #: Scalar type of the wire → numpy type without byte order.
@@ -63,6 +64,7 @@ class Image:
     """
 
     PROTOCOL: ClassVar[str] = "1"
+    TRAITS: ClassVar[Traits] = Traits(is_bulky=True)
     LAYOUT: ClassVar[Layout] = (
         Field("image_version", "u16"),
         Field("num_components", "u8"),

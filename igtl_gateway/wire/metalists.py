@@ -14,6 +14,7 @@ import numpy as np
 from igtl_gateway.base.stamp import fraction_to_ns
 from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.layout import Layout, of_dtype
+from igtl_gateway.wire.traits import LIST, Traits
 
 #: One image, 260 bytes.
 IMAGE_META_DTYPE = np.dtype(
@@ -73,6 +74,7 @@ class ImageMetaList(Elements):
     """
 
     PROTOCOL: ClassVar[str] = "2"
+    TRAITS: ClassVar[Traits] = Traits(LIST, ns_per_byte=35)
     NAME: ClassVar[str] = "IMGMETA"
     DTYPE: ClassVar[np.dtype[np.void]] = IMAGE_META_DTYPE
     LAYOUT: ClassVar[Layout] = of_dtype(
@@ -97,6 +99,7 @@ class LabelMetaList(Elements):
     """
 
     PROTOCOL: ClassVar[str] = "2"
+    TRAITS: ClassVar[Traits] = Traits(LIST, ns_per_byte=70)
     NAME: ClassVar[str] = "LBMETA"
     DTYPE: ClassVar[np.dtype[np.void]] = LABEL_META_DTYPE
     LAYOUT: ClassVar[Layout] = of_dtype(
@@ -120,6 +123,7 @@ class VideoMetaList(Elements):
     """
 
     PROTOCOL: ClassVar[str] = "3.1"
+    TRAITS: ClassVar[Traits] = Traits(LIST, ns_per_byte=100)
     NAME: ClassVar[str] = "VIDEOMETA"
     DTYPE: ClassVar[np.dtype[np.void]] = VIDEO_META_DTYPE
     LAYOUT: ClassVar[Layout] = of_dtype(

@@ -16,6 +16,7 @@ from igtl_gateway.base.errors import ConversionError, MalformedBody, TruncatedMe
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.body import describe_values
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
+from igtl_gateway.wire.traits import Traits
 
 #: Scalar type of the wire → numpy type, big-endian as the data always are; 13 is complex, two float64.
 NDARRAY_SCALARS = {
@@ -35,6 +36,7 @@ class NdArray:
     """
 
     PROTOCOL: ClassVar[str] = "2"
+    TRAITS: ClassVar[Traits] = Traits(ns_per_byte=10, is_bulky=True)
     LAYOUT: ClassVar[Layout] = (
         Field("scalar_type", "u8"),
         Field("dimensions", "u8", 1, "number of dimensions"),

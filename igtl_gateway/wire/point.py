@@ -11,6 +11,7 @@ import numpy.typing as npt
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.layout import Layout, of_dtype
+from igtl_gateway.wire.traits import LIST, Traits
 
 #: One element.
 POINT_DTYPE = np.dtype(
@@ -34,6 +35,7 @@ class Points(Elements):
     """
 
     PROTOCOL: ClassVar[str] = "2"
+    TRAITS: ClassVar[Traits] = Traits(LIST, ns_per_byte=50)
     NAME: ClassVar[str] = "POINT"
     DTYPE: ClassVar[np.dtype[np.void]] = POINT_DTYPE
     LAYOUT: ClassVar[Layout] = of_dtype(

@@ -28,6 +28,7 @@ from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.fields import decode_text, visible
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
+from igtl_gateway.wire.traits import Traits
 
 U4 = np.dtype(">u4")
 F4 = np.dtype(">f4")
@@ -235,6 +236,7 @@ class PolyData:
     """
 
     PROTOCOL: ClassVar[str] = "2"
+    TRAITS: ClassVar[Traits] = Traits(is_bulky=True)
     LAYOUT: ClassVar[Layout] = (
         Field("num_points", "u32", 1, "number of points"),
         Field("vertices_count", "u32", 1, "number of vertex cells"),

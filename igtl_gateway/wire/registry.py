@@ -21,6 +21,7 @@ from igtl_gateway.wire.query import QUERIES, QUERY_ALIASES
 from igtl_gateway.wire.sensor import Sensor
 from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.tracking import QuaternionTrackingData, TrackingData
+from igtl_gateway.wire.traits import traits_of
 from igtl_gateway.wire.trajectory import Trajectories
 from igtl_gateway.wire.transform import Position, Transform
 from igtl_gateway.wire.video import Video
@@ -61,6 +62,9 @@ ALIASES = {
     "CAPABIL": "CAPABILITY",  # the tail of the query's name
     **QUERY_ALIASES,
 }
+
+#: Types whose content is pixels, points or cells.
+BULKY = frozenset(name for name, content in BODIES.items() if traits_of(content).is_bulky)
 
 
 def read_content(type_name: str, content: memoryview) -> Body:

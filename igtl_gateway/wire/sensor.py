@@ -24,6 +24,7 @@ from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
+from igtl_gateway.wire.traits import SHORT, Traits
 
 _VALUES = np.dtype(">f8")
 MAX_VALUES = 255
@@ -44,6 +45,7 @@ class Sensor:
     """
 
     PROTOCOL: ClassVar[str] = "2"
+    TRAITS: ClassVar[Traits] = Traits(SHORT)
     LAYOUT: ClassVar[Layout] = (
         Field("length", "u8", 1, "number of values"),
         Field("status", "u8"),

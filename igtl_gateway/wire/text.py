@@ -13,6 +13,7 @@ from igtl_gateway.base.long_text import decoded
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
+from igtl_gateway.wire.traits import SHORT, Traits
 
 _ERROR_NAME_SIZE = 20
 
@@ -55,6 +56,7 @@ class String:
     """
 
     PROTOCOL: ClassVar[str] = "2"
+    TRAITS: ClassVar[Traits] = Traits(SHORT)
     LAYOUT: ClassVar[Layout] = (
         Field("encoding", "u16"),
         Field("length", "u16", 1, "bytes of the text"),
@@ -112,6 +114,7 @@ class Status:
     """
 
     PROTOCOL: ClassVar[str] = "1"
+    TRAITS: ClassVar[Traits] = Traits(SHORT)
     LAYOUT: ClassVar[Layout] = (
         Field("code", "u16", 1, "1 = OK, others below"),
         Field("subcode", "i64"),

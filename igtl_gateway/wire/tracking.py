@@ -10,6 +10,7 @@ import numpy as np
 
 from igtl_gateway.wire.elements import Elements, describe_matrix
 from igtl_gateway.wire.layout import Layout, of_dtype
+from igtl_gateway.wire.traits import LIST, Traits
 
 #: What a tool is: the tracker itself, a tool with six degrees of freedom, with three (its tip), with five.
 TRACKER, TOOL_6D, TOOL_3D, TOOL_5D = 1, 2, 3, 4
@@ -38,6 +39,7 @@ class TrackingData(Elements):
     """
 
     PROTOCOL: ClassVar[str] = "2"
+    TRAITS: ClassVar[Traits] = Traits(LIST, ns_per_byte=300)
     NAME: ClassVar[str] = "TDATA"
     DTYPE: ClassVar[np.dtype[np.void]] = TRACKING_DTYPE
     LAYOUT: ClassVar[Layout] = of_dtype(
@@ -59,6 +61,7 @@ class QuaternionTrackingData(Elements):
     """
 
     PROTOCOL: ClassVar[str] = "2"
+    TRAITS: ClassVar[Traits] = Traits(LIST, ns_per_byte=300)
     NAME: ClassVar[str] = "QTDATA"
     DTYPE: ClassVar[np.dtype[np.void]] = QTRACKING_DTYPE
     LAYOUT: ClassVar[Layout] = of_dtype(

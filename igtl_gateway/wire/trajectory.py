@@ -9,6 +9,7 @@ import numpy as np
 
 from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.layout import Layout, of_dtype
+from igtl_gateway.wire.traits import LIST, Traits
 
 #: ``type`` of a trajectory: which of its two points are meant.
 ENTRY_ONLY, TARGET_ONLY, ENTRY_AND_TARGET = 1, 2, 3
@@ -38,6 +39,7 @@ class Trajectories(Elements):
     """
 
     PROTOCOL: ClassVar[str] = "2"
+    TRAITS: ClassVar[Traits] = Traits(LIST, ns_per_byte=50)
     NAME: ClassVar[str] = "TRAJ"
     DTYPE: ClassVar[np.dtype[np.void]] = TRAJECTORY_DTYPE
     LAYOUT: ClassVar[Layout] = of_dtype(

@@ -12,6 +12,7 @@ from igtl_gateway.base.errors import MalformedBody
 from igtl_gateway.base.values import value
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
+from igtl_gateway.wire.traits import SHORT, Traits
 
 
 @value(frozen=True, slots=True)
@@ -23,6 +24,7 @@ class Transform:
     """
 
     PROTOCOL: ClassVar[str] = "1"
+    TRAITS: ClassVar[Traits] = Traits(SHORT)
     LAYOUT: ClassVar[Layout] = (Field("wire_matrix", "f32", 12),)
     _MATRIX: ClassVar[Struct] = compile_struct(LAYOUT)
 
@@ -68,6 +70,7 @@ class Position:
     """
 
     PROTOCOL: ClassVar[str] = "1"
+    TRAITS: ClassVar[Traits] = Traits(SHORT)
     LAYOUT: ClassVar[Layout] = (Field("position", "f32", 3), Field("quaternion", "f32", 4))
     #: ``form`` → what is on the wire.
     _FORMS: ClassVar[dict[str, Struct]] = {

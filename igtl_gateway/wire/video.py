@@ -16,6 +16,7 @@ from igtl_gateway.wire.body import describe_crc
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
 from igtl_gateway.wire.image import LITTLE_ENDIAN, RAS, Image, Sizes3
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
+from igtl_gateway.wire.traits import FRAME, Traits
 from igtl_gateway.wire.transform import pack_floats, unpack_floats
 
 KEY_FRAME = 1
@@ -45,6 +46,7 @@ class Video:
     """
 
     PROTOCOL: ClassVar[str] = "3.1"
+    TRAITS: ClassVar[Traits] = Traits(FRAME, is_bulky=True)
     LAYOUT: ClassVar[Layout] = (
         Field("video_version", "u16"),
         Field("endian", "u8"),

@@ -20,7 +20,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from igtl_gateway.addon import failure_text
-from igtl_gateway.addon.igtl import describe_content
+from igtl_gateway.addon.igtl import BULKY, describe_content
 from igtl_gateway.addon.reading import Entry, Kind, recorded_acceptance, recorded_units
 from igtl_gateway.addon.streams import (
     HEAD,
@@ -45,8 +45,6 @@ _MAX_BYTES = 8 << 20
 #: Characters of one cell: bytes are written as hexadecimal digits or as numbers.
 _MAX_FIELD = 8 * _MAX_BYTES
 
-#: Types that are not decoded: their content is pixels or points.
-_NO_TABLES = frozenset({"IMAGE", "POLYDATA", "VIDEO", "COLORT", "COLORTABLE", "NDARRAY"})
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _UNWRITABLE = re.compile(r"[\x00\ud800-\udfff]")
 
@@ -185,7 +183,7 @@ class _RowReader:
         if entry.size > _MAX_BYTES:
             raise TooLong(f"found messages of more than {_MAX_BYTES >> 20} MiB, expected at most that in a table")
         if entry.kind in (Kind.IGTL_IN, Kind.IGTL_OUT):
-            if entry.type in _NO_TABLES:
+            if entry.type in BULKY:
                 raise TooLong("pixels, points and cells do not fit in a table; use another format")
             unit = self._units.of(entry.kind, entry.channel, entry.type, entry.links)
             fields = name_igtl_fields(describe_content(self._acceptance.message(entry.data()).content), unit)

@@ -8,23 +8,17 @@ from typing import Literal
 
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.wire.framer import DEFAULT_MAX_BODY
+from igtl_gateway.wire.registry import BODIES
+from igtl_gateway.wire.traits import LIST, SHORT, traits_of
 
 Role = Literal["server", "client"]
-
-_MIB = 2**20
 
 #: Maximum body sizes of the types that never reach ``max_body``, in bytes: a peer that announces more has lost its
 #: place in the stream, or attacks.  A type (a glob of types) that is not here may be as long as ``max_body``.
 MAX_BODIES: tuple[tuple[str, int], ...] = (
-    # Of fixed size, or with length fields of 16 bits: below 65.6 kB, and at most 1 MiB of metadata accepted beside it
-    *((name, 2 * _MIB) for name in ("TRANSFORM", "POSITION", "QTRANS", "STATUS", "STRING", "SENSOR", "CAPABIL*")),
-    *((f"{prefix}_*", 2 * _MIB) for prefix in ("GET", "STT", "STP")),
-    *((name, 2 * _MIB) for name in ("COLORT*", "CLIENTINFO")),
-    # Lists: 123,000 points of 136 bytes, 239,000 tools of 70; long strings, and scripts in commands
-    *((name, 16 * _MIB) for name in ("POINT", "TRAJ", "TDATA", "QTDATA", "IMGMETA", "LBMETA", "VIDEOMETA")),
-    *((name, 16 * _MIB) for name in ("COMMAND", "RTS_*")),
-    # One picture, encoded or not: 8K in YUV 4:2:0 is 50 MB
-    ("VIDEO", 64 * _MIB),
+    *((name, most) for name, body in BODIES.items() if (most := traits_of(body).most_bytes) is not None),
+    *((f"{prefix}_*", SHORT) for prefix in ("GET", "STT", "STP")),
+    ("RTS_*", LIST),
 )
 
 
