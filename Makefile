@@ -20,7 +20,7 @@ MYPY := $(BIN)/mypy --no-error-summary
 # The checks that end in seconds.
 QUICK := format lint pins documents terms docstrings commits
 
-.PHONY: help demo test test-fast test-long check static quick format lint types types-elsewhere pins documents terms docstrings commits peers core coverage hooks pictures fixtures site release clean
+.PHONY: help demo test test-fast test-long check static quick format lint types types-elsewhere pins documents terms docstrings commits peers core coverage sanitize hooks pictures fixtures site release clean
 .DEFAULT_GOAL := help
 
 help:
@@ -30,6 +30,7 @@ help:
 	@echo "make test        the gate for every change: the checks, the fast tests and the slow tests"
 	@echo "make test-long   the tests that take too long for the gate"
 	@echo "make coverage    branch coverage of the fast tests, as a table and in out/coverage/index.html"
+	@echo "make sanitize    the parts in C, with the sanitizers of the compiler and checks of their states"
 	@echo "make core        the core's tests on each Python that is present, 3.10 to 3.14, or PYTHONS"
 	@echo "make hooks       install the checks as git hooks of this checkout"
 	@echo "make pictures    write the pictures in docs/pictures again, from the recordings in fixtures/"
@@ -101,6 +102,10 @@ coverage: $(READY) peers
 	@$(BIN)/coverage html --quiet
 	@$(BIN)/coverage report
 	@$(BIN)/coverage report --include "$(COVERED)" --fail-under $(FLOOR)
+
+# The gate has the kernel alone, with fewer rounds (tests/native/test_kernel.py).
+sanitize: $(READY)
+	@$(BIN)/python tools/sanitize.py
 
 # Each Python has an environment of its own in out/core.
 core: $(READY)
