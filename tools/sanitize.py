@@ -1,6 +1,8 @@
 """Run the tests of the parts in C, compiled with the sanitizers of the compiler and with checks of their states.
 
-    .venv/bin/python tools/sanitize.py [ROUNDS]     ROUNDS of foreign bytes for the kernel, 2,000,000 unless given
+    .venv/bin/python tools/sanitize.py [ROUNDS [TEST …]]
+
+ROUNDS: of foreign bytes for the kernel, 2,000,000 unless given.  TEST: instead of all tests of the modules.
 
 The kernel runs by itself (``tests/native/kernel``).  The modules are compiled to a temporary folder, and every Python
 below this process loads them from there; a read beyond a buffer, undefined arithmetic, or a transition that is not in
@@ -16,6 +18,7 @@ import sys
 import sysconfig
 import tempfile
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -28,7 +31,13 @@ CHECKS = (
     "-fno-omit-frame-pointer",
 )
 FLAGS = ("-g", "-O1", "-fPIC", "-shared", "-std=gnu11", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror")
-TESTS = ("tests/native", "tests/gateway/fastpath", "tests/record/test_shared_queue.py", "tests/convert/test_express.py")
+TESTS = (
+    "tests/native/test_twins.py",
+    "tests/native/test_turns.py",
+    "tests/gateway/fastpath",
+    "tests/record/test_shared_queue.py",
+    "tests/convert/test_express.py",
+)
 
 #: Loads the parts from the folder that it lies in.
 _SITE = """import importlib.abc, importlib.util, pathlib, sys
@@ -65,30 +74,26 @@ def environment(folder: Path) -> dict[str, str]:
     }
 
 
-def main(rounds: str = "2000000") -> int:
+def tested(folder: Path, there: Mapping[str, str], tests: Sequence[str]) -> int:
+    """Return the exit code of pytest; tests that fail run again alone, because all is several times slower."""
+    words = [sys.executable, "-m", "pytest", "-q", "-m", "not long", "-o", "faulthandler_timeout=0"]
+    words += ["-o", f"cache_dir={folder / 'cache'}", *tests]
+    code = subprocess.run(words, cwd=ROOT, env=there, check=False).returncode
+    return subprocess.run([*words, "--last-failed"], cwd=ROOT, env=there, check=False).returncode if code == 1 else code
+
+
+def main(rounds: str = "2000000", *tests: str) -> int:
     """Return the exit code of the first tests that fail, else 0."""
-    pytest = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        "-m",
-        "not long",
-        "-p",
-        "no:cacheprovider",
-        "-o",
-        "faulthandler_timeout=0",
-    ]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         build(folder)
         runs = (
-            ("kernel", ["tests/native/test_kernel.py"], os.environ | {"KERNEL_ROUNDS": rounds}),
-            ("modules", [*TESTS, "--deselect", "tests/native/test_kernel.py"], environment(folder)),
+            ("kernel", ("tests/native/test_kernel.py",), os.environ | {"KERNEL_ROUNDS": rounds}),
+            ("modules", tests or TESTS, environment(folder)),
         )
-        for what, tests, there in runs:
+        for what, those, there in runs:
             begun = time.monotonic()
-            code = subprocess.run([*pytest, *tests], cwd=ROOT, env=there, check=False).returncode
+            code = tested(folder, there, those)
             print(f"{what}: exit code {code} after {time.monotonic() - begun:.0f} s", flush=True)
             if code:
                 return code
