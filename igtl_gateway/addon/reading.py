@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from igtl_gateway.replay.source import through_gateway as through_gateway
     from igtl_gateway.replay.stamp_places import StampPlaces as StampPlaces
     from igtl_gateway.replay.state_before import latched_before as latched_before
+    from igtl_gateway.replay.state_before import messages_before as messages_before
     from igtl_gateway.replay.state_before import notes_before as notes_before
     from igtl_gateway.replay.state_before import with_state as with_state
 
@@ -92,7 +93,7 @@ HOMES: Homes = (
     ("record.sessionfile.seals", "stated_seals"),
     # Its entries as they were before, and through a gateway
     ("replay.source", "check_recorded through_gateway"),
-    ("replay.state_before", "latched_before notes_before with_state"),
+    ("replay.state_before", "latched_before messages_before notes_before with_state"),
     # MCAP files that are no session: their index and records
     ("record.sessionfile", "records"),
     ("record.sessionfile.index", "read_index read_record recover_hint"),

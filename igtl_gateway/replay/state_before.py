@@ -15,8 +15,10 @@ from collections.abc import Iterable, Iterator
 from io import BytesIO
 
 from igtl_gateway.config.configuration import Config
-from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.entry import MESSAGES, Entry, Kind
 from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.merged import MessageIn
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.with_state import SessionWithState
 from igtl_gateway.record.sessionfile.writer import packed_session
@@ -30,6 +32,7 @@ LASTING = frozenset(
     "field_left_out direction_not_unit uint32_as_float64 coordinate_zero cell_scalars trajectory_not_drawn "
     "float32_attribute colours_left_out unknown_status empty no_conversion shown_instead arm_unit not_for_peer".split()
 )
+_MESSAGES = frozenset(kind.value for kind in MESSAGES)
 #: Latched topics of ROS, for recordings whose prologue has no quality of service: the ends of their names.
 _LATCHED_TOPICS = ("/tf_static", "/robot_description")
 
@@ -62,6 +65,16 @@ def latched_before(file: SessionFile, config: Config) -> Iterator[Entry]:
     before = file.prologue_file()
     if before is not None:
         yield from _state(file, before, config)
+
+
+def messages_before(file: SessionFile) -> Iterator[MessageIn]:
+    """Yield the latched messages from before a file, as its own of ``SessionFile.messages``, at their times.
+
+    Raises DamagedRecording.
+    """
+    whole = with_state(file)
+    if isinstance(whole, SessionWithState):
+        yield from whole.before.messages(lambda channel: channel.metadata.get(layout.KIND_KEY) in _MESSAGES)
 
 
 def notes_before(file: SessionFile) -> list[Entry]:

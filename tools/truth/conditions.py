@@ -280,7 +280,7 @@ CONDITIONS: dict[str, Change] = {
 
 #: Only one of each of these is in a world.
 _EXCLUSIVE: Sequence[frozenset[str]] = (
-    frozenset({"parts", "one_part", "snapshot", "merge", "merge_peers"}),
+    frozenset({"parts", "one_part", "snapshot"}),
     frozenset({"merge", "merge_peers", "slice", "recover", "foreign"}),
     frozenset({"foreign", "parts", "one_part", "snapshot", "deidentify", "seal"}),
     frozenset({"version_2", "version_3", "mixed_versions"}),

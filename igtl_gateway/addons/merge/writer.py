@@ -1,4 +1,8 @@
-"""Writing a merged session: the messages of several recordings, in the order of the clock of one."""
+"""Writing a merged session: the messages of several recordings, in the order of the clock of one.
+
+A part of a split recording, and a snapshot, begin midway.  What was latched before stands at the time of their start,
+on channels that do not count towards the part: taken out, it is the recording.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,7 @@ from typing import Any
 from mcap.records import Channel, Schema
 
 from igtl_gateway.addon import GatewayError, RecordingError, __version__
-from igtl_gateway.addon.reading import SessionFile, layout
+from igtl_gateway.addon.reading import SessionFile, layout, messages_before
 from igtl_gateway.addon.writing import SEQUENCES, McapStream, Row, create_file, merged, os_error_text
 
 _MOST_NS = 1 << 63
@@ -80,16 +84,21 @@ def _write(mcap: McapStream, parts: Sequence[MergedPart]) -> int:
             mcap.add_attachment(name, each.media_type, each.data, each.log_time, each.create_time)
     numbers = merged.ChannelNumbers(merged.ChannelWriter(mcap).register)
     count = 0
-    for time_ns, index, schema, channel, row in heapq.merge(
+    for time_ns, index, schema, channel, row, is_before in heapq.merge(
         *(_timed(part, index) for index, part in enumerate(parts)), key=lambda each: each[:2]
     ):
         part = parts[index]
         _, sequence, log_ns, publish_ns, start, end, data = row
-        part.digest.message(schema, channel, row)
         known = part.channels.get(id(channel))
         if known is None:
-            known = part.channels[id(channel)] = channel, merged.channel_of_part(part.name, channel)
-        part.numbers.append((sequence, log_ns, publish_ns))
+            here = (merged.channel_before if is_before else merged.channel_of_part)(part.name, channel)
+            known = part.channels[id(channel)] = channel, here
+        moved_ns = time_ns
+        if is_before:
+            moved_ns = part.to_reference(log_ns)
+        else:
+            part.digest.message(schema, channel, row)
+            part.numbers.append((sequence, log_ns, publish_ns))
         count += 1
         mcap.add_message(
             numbers.of(schema, known[1]),
@@ -97,7 +106,7 @@ def _write(mcap: McapStream, parts: Sequence[MergedPart]) -> int:
             b"",
             memoryview(data)[start:end],
             # the age of a message stays: a sender has the clock of its recorder, or one of its own
-            time_ns if publish_ns == log_ns else _moved(publish_ns, time_ns - log_ns),
+            time_ns if publish_ns == log_ns else _moved(publish_ns, moved_ns - log_ns),
             count % SEQUENCES,
         )
         if len(part.numbers) == merged.NUMBERS:
@@ -115,15 +124,19 @@ def _moved(stamp_ns: int, by_ns: int) -> int:
     return moved_ns if 0 < moved_ns < _MOST_NS else stamp_ns
 
 
-def _timed(part: MergedPart, index: int) -> Iterator[tuple[int, int, Schema | None, Channel, Row]]:
-    """The messages of a part with their times by the reference clock, which never decrease."""
+def _timed(part: MergedPart, index: int) -> Iterator[tuple[int, int, Schema | None, Channel, Row, bool]]:
+    """The messages of a part with their times by the reference clock, which never decrease; first what was before."""
     last = 0
+    start_ns = part.to_reference(part.file.start_ns)
+    if 0 <= start_ns < _MOST_NS:
+        for schema, channel, row in messages_before(part.file):
+            yield start_ns, index, schema, channel, row, True
     for schema, channel, row in part.file.messages():
         time_ns = part.to_reference(row[2])
         if not 0 <= time_ns < _MOST_NS:
             raise GatewayError(f"{part.file.path}: found time {row[2]} ns, which the offset moves out of all calendars")
         last = time_ns = max(last, time_ns)
-        yield time_ns, index, schema, channel, row
+        yield time_ns, index, schema, channel, row, False
 
 
 def _put_numbers(mcap: McapStream, part: MergedPart) -> None:

@@ -285,6 +285,13 @@ def channel_of_part(name: str, channel: Channel) -> Channel:
     return replace(channel, topic=topic, metadata=given)
 
 
+def channel_before(name: str, channel: Channel) -> Channel:
+    """A channel of what was latched before a part: as one of the part, but the part taken out does not have it."""
+    found = channel_of_part(name, channel)
+    given = {key: value for key, value in found.metadata.items() if key not in (PART_NAME_KEY, PART_TOPIC_KEY)}
+    return replace(found, metadata=given)
+
+
 def _channel_in_part(channel: Channel) -> Channel:
     """A channel of the merged file, as it was in the part."""
     given = {key: value for key, value in channel.metadata.items() if key not in (PART_NAME_KEY, PART_TOPIC_KEY)}

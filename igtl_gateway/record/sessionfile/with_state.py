@@ -25,6 +25,9 @@ class SessionWithState(SessionFile):
     Args:
         itself: the file, which the caller closes.
         before: these messages and notes.
+
+    Attributes:
+        itself, before: as above.
     """
 
     def __init__(self, itself: SessionFile, before: SessionFile) -> None:
@@ -33,7 +36,7 @@ class SessionWithState(SessionFile):
             "missing_parts start_ns end_ns"
         ).split():
             setattr(self, name, getattr(itself, name))
-        self.itself, self._before = itself, before
+        self.itself, self.before = itself, before
         latched = [each for each in before.channels if each.count]
         self._own = {_key(each) for each in itself.channels}
         self._latched = {_key(each) for each in latched}
@@ -43,7 +46,7 @@ class SessionWithState(SessionFile):
 
     def definition_of(self, ros_type: str) -> Definition | None:
         """As SessionFile.definition_of."""
-        return self.itself.definition_of(ros_type) or self._before.definition_of(ros_type)
+        return self.itself.definition_of(ros_type) or self.before.definition_of(ros_type)
 
     def close(self) -> None:
         """Close the file."""
@@ -51,33 +54,33 @@ class SessionWithState(SessionFile):
 
     def entries(self) -> Iterator[Entry]:
         """What is from before, then all entries; as SessionFile.entries."""
-        return chain(self._before.entries(), self.itself.entries())
+        return chain(self.before.entries(), self.itself.entries())
 
     def entries_of_kinds(self, kinds: Collection[Kind]) -> Iterator[Entry]:
         """As SessionFile.entries_of_kinds."""
         return chain(
-            (each for each in self._before.entries() if each.kind in kinds), self.itself.entries_of_kinds(kinds)
+            (each for each in self.before.entries() if each.kind in kinds), self.itself.entries_of_kinds(kinds)
         )
 
     def entries_with_state(self, start_ns: int, rule: LatchedStateRule) -> Iterator[Entry]:
         """As SessionFile.entries_with_state."""
-        return chain(self._before.entries(), self.itself.entries_with_state(start_ns, rule))
+        return chain(self.before.entries(), self.itself.entries_with_state(start_ns, rule))
 
     def entries_starting_at(self, start_ns: int, seq: int = 0) -> Iterator[Entry]:
         """As SessionFile.entries_starting_at."""
-        state = (each for each in self._before.entries() if each.stamp_ns >= start_ns)
+        state = (each for each in self.before.entries() if each.stamp_ns >= start_ns)
         return chain(state, self.itself.entries_starting_at(start_ns, seq))
 
     def blocks(self, channel: ChannelSummary, start_ns: int = 0, end_ns: int = _END_NS) -> Iterator[MessageBlock]:
         """As SessionFile.blocks."""
         if _key(channel) in self._latched:
-            yield from self._before.blocks(channel, start_ns, end_ns)
+            yield from self.before.blocks(channel, start_ns, end_ns)
         if _key(channel) in self._own:
             yield from self.itself.blocks(channel, start_ns, end_ns)
 
     def span(self, channel: ChannelSummary) -> tuple[int, int]:
         """As SessionFile.span."""
-        spans = [self._before.span(channel)] if _key(channel) in self._latched else []
+        spans = [self.before.span(channel)] if _key(channel) in self._latched else []
         spans += [self.itself.span(channel)] if _key(channel) in self._own else []
         found = [each for each in spans if each[0]]
         return (found[0][0], found[-1][1]) if found else (0, 0)
@@ -90,7 +93,7 @@ class SessionWithState(SessionFile):
 
     def first_links(self, channel: ChannelSummary) -> tuple[int, ...]:
         """As SessionFile.first_links."""
-        return (self._before if _key(channel) in self._latched else self.itself).first_links(channel)
+        return (self.before if _key(channel) in self._latched else self.itself).first_links(channel)
 
     def attachments(self) -> Iterator[Attachment]:
         """As SessionFile.attachments."""

@@ -24,6 +24,7 @@ from igtl_gateway.record.sessionfile.merged import Digest, Method
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from tests.places import FIXTURES
+from tests.replay.test_state_before import parts
 from tests.tables import table
 from tools.merge_worlds import World, judge, record
 
@@ -88,6 +89,24 @@ def test_each_part_is_the_recording(tmp_path: Path) -> None:
     with AnyReader([out]) as reader:
         assert {topic.split("/")[1] for topic in reader.topics} == {"r0", "r1", "crtk"}
         assert sum(1 for _ in reader.messages()) == len(times)
+
+
+def test_a_part_that_begins_midway_has_what_was_latched_before(tmp_path: Path) -> None:
+    part = parts(tmp_path)[-1]
+    out = tmp_path / "merged.mcap"
+    merge([Source("star", FIXTURES / "star.mcap"), Source("part", part)], out, given={"part": AHEAD["r1"]})
+    assert _content(out / "part") == _content(part), "taken out, it is the recording"
+    assert all(result.good for result in verify_parts(out))
+    with igtl_gateway.open(out) as recording, igtl_gateway.open(part) as alone:
+        static = recording["/part/tf_static"]
+        assert static.count == 1 and static.times[0] == alone.start_time - 1_700_000_000
+        assert static.stamps[0] == alone["/tf_static"].stamps[0] - 1_700_000_000
+        assert recording["/part/robot_description"].count == recording["/part/igtl/in/Navigation/status"].count == 1
+        found = recording.tf.lookup("world", "tip", recording["/part/tf"].times[:1], unit="m")
+        assert np.allclose(found[0, :3, 3], (1.9, 0, 0))
+    with AnyReader([out]) as reader:
+        topics = [connection.topic for connection, _, _ in reader.messages()]
+    assert topics.count("/part/tf_static") == 1
 
 
 def _content(path: Path) -> tuple[Any, ...]:
