@@ -27,7 +27,7 @@ class NotInTable(AssertionError):
 
 
 def moves_of(text: str) -> Moves:
-    """Return state → states after it, of the first table of transitions in a text."""
+    """Return state → states after it, of the first table of transitions in a part of the document."""
     found: dict[str, set[str]] = {}
     for before, after in _ROW.findall(text):
         found.setdefault(before, set()).add(after)
@@ -169,7 +169,7 @@ class SubscriptionModel:
                 yield OUT, replace(one, is_in_line=True)
 
     def _pass_one(self, one: Sub, *, of_middleware: bool) -> Iterator[tuple[str, Sub]]:
-        """Yield what becomes of the next message: "passed", "left", "large" (passed), "none", or rcl has "failed"."""
+        """Yield the fate of the next message ("passed", "left", "large"; "none", "failed"), and the state after it."""
         if one.holds == "EMPTY":
             if one.failures < self._failures:
                 yield "failed", replace(one, has_failed=True, failures=one.failures + 1)
