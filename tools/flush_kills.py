@@ -35,6 +35,8 @@ from tools import pages
 
 #: Entries that are younger may be lost: the flush interval of 0.5 s, and 0.15 s for the kill and for the socket.
 MOST_AGE_S = 0.65
+#: Of one message, and the interval at which the connection is looked at.
+_POSE_BYTES, _LOOK_S = 106, 0.02
 
 _PAGE, _HEADING = "docs/evidence/soak.md", "## Kills under load"
 _TITLES = (
@@ -44,10 +46,18 @@ _TITLES = (
 )
 
 
-def poses(place: tuple[str, int], hz: float, sent: list[float], ends: threading.Event) -> None:
-    """Send poses whose x is their number, until the connection ends; note when each was handed over."""
+def poses(place: tuple[str, int], hz: float, sent: list[float], read: list[float], ends: threading.Event) -> None:
+    """Send poses whose x is their number, until the connection ends.
+
+    Args:
+        place: of the bridge.
+        hz: number a second.
+        sent: gets the time at which each was handed over.
+        read: gets the time at which the bridge was seen to have read each.
+        ends: set at the end.
+    """
     with socket.create_connection(place) as link:
-        begun, number = time.monotonic(), 0
+        begun, number, looked = time.monotonic(), 0, 0.0
         while not ends.is_set():
             due = int((time.monotonic() - begun) * hz) - number
             try:
@@ -56,15 +66,32 @@ def poses(place: tuple[str, int], hz: float, sent: list[float], ends: threading.
                     link.sendall(join(encode(Message("TRANSFORM", "ToolToBase", pose))))
                     sent.append(time.monotonic())
                     number += 1
+                if time.monotonic() - looked > _LOOK_S:
+                    looked = time.monotonic()
+                    count = number - -(-unread(place[1]) // _POSE_BYTES)
+                    read += [looked] * (count - len(read))
             except OSError:
                 return
             time.sleep(1 / hz)
 
 
-def one_kill(folder: Path, hz: float, seconds: float) -> tuple[int, float, bool]:
-    """Record, kill both after a time; return lost poses, the age of the oldest, and if a note reported it.
+def unread(port: int) -> int:
+    """Return the bytes that wait in the connections of a port of this machine: its program has not read them."""
+    found, place = 0, f":{port:04X}"
+    for line in Path("/proc/net/tcp").read_text().splitlines()[1:]:
+        _, local, remote, _, queues, *_ = line.split()
+        if local.endswith(place):
+            found += int(queues.partition(":")[2], 16)
+        elif remote.endswith(place):
+            found += int(queues.partition(":")[0], 16)
+    return found
 
-    The age is that at the moment of the kill, s; 0 without any.
+
+def one_kill(folder: Path, hz: float, seconds: float) -> tuple[int, float, bool, int]:
+    """Record, kill both after a time; return lost poses, the age of the oldest, if a note reported it, and the unread.
+
+    The age is the time since the bridge had read it, at the moment of the kill, s; 0 without any.  What the bridge has
+    not read from its connection is not lost: no recorder has had it.
     """
     path = folder / "killed.mcap"
     path.unlink(missing_ok=True)
@@ -74,6 +101,7 @@ def one_kill(folder: Path, hz: float, seconds: float) -> tuple[int, float, bool]
         bridge = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT)
     said = folder / "out.txt"
     sent: list[float] = []
+    read: list[float] = []
     ends = threading.Event()
     try:
         deadline = time.monotonic() + 120
@@ -81,7 +109,7 @@ def one_kill(folder: Path, hz: float, seconds: float) -> tuple[int, float, bool]
             if time.monotonic() > deadline:
                 raise RuntimeError(f"the bridge does not start: {said.read_bytes()[:500]!r}")
             time.sleep(0.05)
-        sender = threading.Thread(target=poses, args=(("127.0.0.1", int(found[1])), hz, sent, ends), daemon=True)
+        sender = threading.Thread(target=poses, args=(("127.0.0.1", int(found[1])), hz, sent, read, ends), daemon=True)
         sender.start()
         time.sleep(seconds)
         recorder = _recorder(bridge.pid)
@@ -101,8 +129,9 @@ def one_kill(folder: Path, hz: float, seconds: float) -> tuple[int, float, bool]
             for entry in file.entries()
             if entry.kind is Kind.IGTL_IN
         }
-    lost = [at for number, at in enumerate(sent) if number not in kept and at <= killed]
-    return len(lost), killed - min(lost) if lost else 0.0, b"record_late" in said.read_bytes()
+    lost = [at for number, at in enumerate(read) if number not in kept and at <= killed]
+    not_read = sum(at <= killed for at in sent) - len(read)
+    return len(lost), killed - min(lost) if lost else 0.0, b"record_late" in said.read_bytes(), max(0, not_read)
 
 
 def _recorder(bridge: int) -> int:
@@ -144,13 +173,17 @@ def main() -> int:
         hogs = [subprocess.Popen(words, start_new_session=True) for _ in range(load)]
         try:
             with tempfile.TemporaryDirectory() as name:
-                rows: list[tuple[int, float, bool]] = []
+                rows: list[tuple[int, float, bool, int]] = []
                 for _ in range(options.kills):
                     seconds = chance.uniform(1.0, 6.0)
                     rows.append(one_kill(Path(name), options.hz, seconds))
                     seen.look()
                     if rows[-1][1] > MOST_AGE_S:
-                        print(f"lost {rows[-1][0]:,}, {rows[-1][1]:.2f} s, by a kill {seconds:.2f} s after the first")
+                        count, age_s, told, waits = rows[-1]
+                        print(
+                            f"lost {count:,}, {age_s:.2f} s, {'reported' if told else 'not reported'}, by a kill "
+                            f"{seconds:.2f} s after the first; {waits:,} more not read"
+                        )
         finally:
             for hog in hogs:
                 hog.kill()
