@@ -44,9 +44,11 @@ STALLED, MOVES = "record_stalled", "record_moves"
 LATE, ON_TIME = "record_late", "record_on_time"
 #: The listening thread looks at this interval, s; a worker that took nothing for the second time, ns, is stalled.
 _LOOK_S, _STILL_NS = 0.04, 3_000_000_000
-#: A file that is behind by the flush interval for this time is late, ns: with the looks, that is known 0.15 s after the
-#: interval.  It is on time after the second one without.
-_LATE_NS, _CALM_NS = 80_000_000, 10_000_000_000
+#: A file that is behind by the flush interval (or the third time, which the worker's looks need) for the first time is
+#: late, ns: with the looks here, that is known 0.15 s after the interval.  It is on time after the second one without.
+_LATE_NS, _CALM_NS, _LEAST_NS = 80_000_000, 10_000_000_000, 200_000_000
+#: So is one whose worker has taken nothing for this part of the interval, in which it should look several times.
+_STARVED = 0.8
 #: A worker for which more entries than this wait looks again within 0.05 s, if it gets a processor.
 _MANY = 64
 
@@ -101,6 +103,7 @@ class Recorder:
         self._behind_ns = self._most_behind_ns = 0  # how old the oldest entry is that a kill would lose, if it is late
         self._late_ns: int | None = None  # when it was late last
         self._behind_since_ns: int | None = None  # by the flush interval
+        self._starved_ns = 0  # for how long the worker has taken nothing of many entries
         self._raised_ns: int | None = None  # when the worker got its share from here
         self._summary: RecordingSummary | None = None
         self._sending = threading.Lock()  # of the pipe
@@ -353,9 +356,11 @@ class Recorder:
                 self._on_message("note", [Note(Level.INFO, MOVES, text)])
             self._done, self._done_ns, self._stalled, self._is_blocked = done, now_ns, False, False
             self._pace.begin(now_ns, 0)
+            self._starved_ns = 0
             return
         still_ns = now_ns - self._done_ns
-        if entries > _MANY and still_ns >= self.options.flush_s * NS_PER_S / 2:
+        self._starved_ns = still_ns if entries > _MANY else 0
+        if self._starved_ns >= self.options.flush_s * NS_PER_S / 2:
             self._raise_priority(now_ns)
         if not self._stalled and still_ns >= _STILL_NS:
             self._stalled = True
@@ -385,7 +390,8 @@ class Recorder:
         while self._put and self._put[0][1] <= flushed:
             self._put.popleft()
         behind_ns = now_ns - self._put[0][0] if self._put else 0  # at least
-        if behind_ns <= self.options.flush_s * NS_PER_S:
+        interval_ns = max(self.options.flush_s * NS_PER_S, _LEAST_NS)
+        if behind_ns <= interval_ns and self._starved_ns < _STARVED * interval_ns:
             self._behind_since_ns = None
         elif self._behind_since_ns is None:
             self._behind_since_ns = now_ns
