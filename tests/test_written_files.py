@@ -15,6 +15,7 @@ import pytest
 
 from igtl_gateway.cli import USAGE, main
 from tests.cli.writers import SMALL, WRITERS, sound_files
+from tests.places import FIXTURES
 from tests.test_private_files import TREES
 
 resource = pytest.importorskip("resource", reason="needs the limits of POSIX")
@@ -144,6 +145,44 @@ def test_a_program_that_is_ended(tmp_path: Path, number: signal.Signals) -> None
         assert program.returncode == 1 and errors.strip() == "igtl-gateway deidentify: interrupted"
     assert main([*words]) == 0  # the next run
     assert os.listdir(tmp_path) == [out.name]
+
+
+#: Where an export of a scene is ended: when the session is read and the pixels are written; when all is written.
+_MIDDLE, _END = "igtl_gateway.addons.exchange.scene_out._clock", "igtl_gateway.record.sessionfile.beside._move"
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("terminal_signals")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("place", [_MIDDLE, _END])
+@pytest.mark.parametrize(
+    "words", ["--to mrb -o OUT.mrb", "--to mrml -o OUT", "--to seq.nrrd -o OUT.seq.nrrd --streams in:IMAGE/Image_Probe"]
+)
+def test_a_scene_whose_export_is_ended_is_not_there(
+    tmp_path: Path, words: str, place: str, number: signal.Signals
+) -> None:
+    module, _, name = place.rpartition(".")
+    code = (
+        f"import importlib, sys, time\nmodule = importlib.import_module({module!r})\n"
+        f"def wait(*_, **__):\n    print('now', flush=True)\n    time.sleep(60)\nmodule.{name} = wait\n"
+        "from igtl_gateway.cli import main\nsys.exit(main())\n"
+    )
+    images = str(FIXTURES / "ultrasound.mcap")
+    command = ["export", images, *(word.replace("OUT", str(tmp_path / "out")) for word in words.split())]
+    with subprocess.Popen(
+        [sys.executable, "-c", code, *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as program:
+        assert program.stdout
+        assert program.stdout.readline() == "now\n"
+        program.send_signal(number)
+        _, errors = program.communicate(timeout=60)
+    left = os.listdir(tmp_path)
+    if number is signal.SIGKILL:
+        assert [name[:14] for name in left] == [".igtl-gateway-"]
+    else:
+        assert (left, errors.strip()) == ([], "igtl-gateway export: interrupted")
+    assert main(command) == 0  # the next run
+    assert [name[:4] for name in os.listdir(tmp_path)] == ["out" + words.split()[3][3:4]]
 
 
 #: Functions that open or make a file at the given path.

@@ -32,7 +32,7 @@ from igtl_gateway.wire.query import (
 from igtl_gateway.wire.registry import BODIES, BULKY, describe_content, read_content
 from igtl_gateway.wire.sensor import Sensor, parse_unit
 from igtl_gateway.wire.text import Status, String
-from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET, Trajectories
+from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET, ENTRY_ONLY, TARGET_ONLY, Trajectories
 from igtl_gateway.wire.transform import Position, Transform
 from igtl_gateway.wire.video import Video
 
@@ -44,6 +44,7 @@ __all__ = [
     "COMMAND_NAME_WIDTH",
     "DEVICE_NAME_AT",
     "ENTRY_AND_TARGET",
+    "ENTRY_ONLY",
     "HEADER_SIZE",
     "HEADER_VERSIONS",
     "LITTLE_ENDIAN",
@@ -51,6 +52,7 @@ __all__ = [
     "NDARRAY_SCALARS",
     "NORMAL",
     "SCALARS",
+    "TARGET_ONLY",
     "Attribute",
     "Bind",
     "BindChild",

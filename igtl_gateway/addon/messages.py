@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from igtl_gateway.convert.surfaces import polydata_to_lines as polydata_to_lines
     from igtl_gateway.convert.surfaces import polydata_to_mesh as polydata_to_mesh
     from igtl_gateway.convert.table import TO_ROS as TO_ROS
+    from igtl_gateway.convert.trajectories import trajectories_to_igtl as trajectories_to_igtl
     from igtl_gateway.convert.units import LengthUnits as LengthUnits
     from igtl_gateway.convert.units import ieee_754 as ieee_754
     from igtl_gateway.convert.units import millimetres as millimetres
@@ -88,6 +89,7 @@ HOMES: Homes = (
     ("convert.clouds", "cloud_to_polydata colour_bytes colour_field"),
     ("convert.polydata", "polydata_to_igtl"),
     ("convert.surfaces", "has_faces has_lines marker_to_igtl mesh_to_igtl polydata_to_lines polydata_to_mesh"),
+    ("convert.trajectories", "trajectories_to_igtl"),
     # Pictures and video: codings, and a library that an extra installs
     ("convert.pictures", "Coding JPEG PNG bayer_pattern coding_of demosaiced depths is_deep_png"),
     ("convert.bitstream", "is_key_frame"),

@@ -30,6 +30,7 @@ class StreamSummary:
 
     Attributes:
         restores: messages of before a slice, which restore the state: they are in ``messages``, not in the times.
+        links: of OpenIGTLink: those that its messages came from or went to.
     """
 
     kind: Kind
@@ -43,6 +44,7 @@ class StreamSummary:
     longest_pause_ns: int = 0
     unstamped: int = 0
     ages_ns: list[int] = field(default_factory=list)  # of the first _MAX_AGES messages
+    links: set[int] = field(default_factory=set)
 
     def add(self, entry: Entry, ahead_ns: int, *, restores: bool = False) -> None:
         if restores:
@@ -51,6 +53,8 @@ class StreamSummary:
             self._add_time(entry.stamp_ns)
         self.messages += 1
         self.bytes += entry.size
+        if entry.links:
+            self.links.update(entry.links)
         if entry.kind.is_input:
             if not entry.source_ns:
                 self.unstamped += 1

@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 from igtl_gateway.base.buffers import Buffer, join
-from igtl_gateway.base.errors import ConversionError, WireError
+from igtl_gateway.base.errors import WireError
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.profiles import AUTO, DEFAULT, UNRECOGNISED, PeerProfile
 from igtl_gateway.convert.substitutes import Shown
@@ -27,6 +27,7 @@ from igtl_gateway.gateway.metadata import FULL_NAME, restore_metadata
 from igtl_gateway.gateway.naming import MAX_NAMES, ShownNames
 from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.stamps import with_crc_of, with_right_crc
+from igtl_gateway.gateway.substitution import Step, in_place_of
 from igtl_gateway.wire import HEADER_SIZE, Item, Message, Raw, decode, encode
 from igtl_gateway.wire.message import sorted_items
 from igtl_gateway.wire.query import split_query
@@ -179,24 +180,25 @@ class Listeners:
             return []
         try:
             message = self.acceptance.message(join(entry.payload))
-            shown = row.instead(restore_metadata(message).device_name, message.content)
-            return [form for one in shown for form in self._one_instead(entry, message, one, peer)]
-        except (ConversionError, WireError):
+            whole = Shown(entry.type, restore_metadata(message).device_name, message.content)
+            steps = in_place_of(whole, entry.channel, [peer], self._names)
+            return [
+                (self._moved(entry, message, step.shown, step, peer), [])
+                for step in steps
+                if step.shown is not None and step.readers
+            ]
+        except WireError:
             return []
 
-    def _one_instead(self, entry: Entry, message: Message, shown: Shown, peer: Peer) -> Iterator[Form]:
-        device, full_name = self._names.of(shown.igtl_type, shown.name, entry.channel)
+    def _moved(self, entry: Entry, message: Message, shown: Shown, step: Step, peer: Peer) -> Sequence[Buffer]:
         items = {item.key: item for item in message.metadata if item.key != FULL_NAME}
-        if device != full_name:
-            items[FULL_NAME] = Item.of(FULL_NAME, full_name)
+        if step.device != step.full_name:
+            items[FULL_NAME] = Item.of(FULL_NAME, step.full_name)
         version = _version_for(peer, peer.profile, entry)
         metadata = sorted_items(items.values()) if version > 1 else ()
-        parts = encode(Message(shown.igtl_type, device, shown.content, message.ticks, version, 0, metadata))
-        one = replace(entry, channel=f"{shown.igtl_type}/{device}", type=shown.igtl_type, payload=tuple(parts))
-        if peer.may_send(one.type):
-            yield _adapted(one, peer.profile, version, self.acceptance), []
-        else:
-            yield from self._instead(one, peer)
+        parts = encode(Message(shown.igtl_type, step.device, shown.content, message.ticks, version, 0, metadata))
+        one = replace(entry, channel=f"{shown.igtl_type}/{step.device}", type=shown.igtl_type, payload=tuple(parts))
+        return _adapted(one, peer.profile, version, self.acceptance)
 
     def _profile_for(self, peer: Peer | None) -> PeerProfile:
         if peer is None or (self.relay and peer.profile is UNRECOGNISED):

@@ -35,6 +35,7 @@ from igtl_gateway.record.sessionfile.index import recover_hint
 from igtl_gateway.record.sessionfile.reader import PartSummary, SessionFile
 from igtl_gateway.record.sessionfile.salvage import Salvage
 from igtl_gateway.record.sessionfile.seals import stated_seals
+from igtl_gateway.replay.recorded_config import peer_units
 from igtl_gateway.replay.recorded_marks import marks_of
 
 EXAMPLES = """\
@@ -190,15 +191,32 @@ def _streams(file: SessionFile | Salvage, content: ContentSummary) -> list[dict[
     found = sorted(content.streams.items(), key=_order)
     config = facts.configuration(file.session)
     try:
-        units = StreamUnits(Config.from_dict(config), content.streams)
+        recorded = Config.from_dict(config)
+        links = peer_units(recorded, file) if isinstance(file, SessionFile) else {}
+        units = StreamUnits(recorded, content.streams, links)
     except ConfigError:
         config = {}
-    return [stream.to_dict() | ({"unit": units.of(*key)} if config else {}) for key, stream in found]
+    return [stream.to_dict() | (_unit_facts(units, key, stream.links) if config else {}) for key, stream in found]
+
+
+def _unit_facts(units: StreamUnits, key: tuple[Kind, str, str], links: set[int]) -> dict[str, Any]:
+    """Return the unit of lengths in a stream, and those of the links whose messages have another one."""
+    unit, own = units.of(*key), units.of_links(*key)
+    found = {link: own.get(link, unit) for link in sorted(links)}
+    if len(set(found.values())) == 1:
+        return {"unit": found.popitem()[1]}
+    other = {str(link): each for link, each in found.items() if each != unit}
+    return {"unit": unit} | ({"link_units": other} if other else {})
+
+
+def _units_in(stream: dict[str, Any]) -> list[str]:
+    """Return the units of lengths in a stream."""
+    return [stream["unit"], *dict.fromkeys(stream.get("link_units", {}).values())] if "unit" in stream else []
 
 
 def _units(streams: list[dict[str, Any]], directions: frozenset[str], setting: str) -> str:
     """Return the units of the streams of one side, the most frequent first; those of the configuration without any."""
-    counts = Counter(each["unit"] for each in streams if each["direction"] in directions and "unit" in each)
+    counts = Counter(unit for each in streams if each["direction"] in directions for unit in _units_in(each))
     return " and ".join(unit for unit, _ in counts.most_common()) or setting
 
 
@@ -351,7 +369,7 @@ def _print_streams(streams: list[dict[str, Any]]) -> None:
     direction = ""
     columns = width(stream["stream"] for stream in streams)
     units = {
-        side: {stream["unit"] for stream in streams if "unit" in stream and (stream["direction"] in _IGTL) is side}
+        side: {unit for stream in streams if (stream["direction"] in _IGTL) is side for unit in _units_in(stream)}
         for side in (True, False)
     }
     for stream in streams:
@@ -361,7 +379,10 @@ def _print_streams(streams: list[dict[str, Any]]) -> None:
         rate = f"{stream['rate_hz']:.1f} Hz" if stream["rate_hz"] else ""
         gap = f"GAP of {stream['longest_pause_s']:.1f} s" if stream["gap"] else ""
         ros_type = stream["type"] if "/" in stream["type"] else ""
-        unit = f"lengths in {stream['unit']}" if len(units[direction in _IGTL]) > 1 else ""
+        unit = ""
+        if len(units[direction in _IGTL]) > 1:
+            others = (f"{each} (link {link})" for link, each in stream.get("link_units", {}).items())
+            unit = f"lengths in {', '.join((stream['unit'], *others))}"
         state = f"{stream['restores']:,} before the slice" if stream["restores"] else ""
         facts = ", ".join(fact for fact in (ros_type, unit, stream["stamps"], state, gap) if fact)
         counts = f"{stream['messages']:>7,} {rate:>10} {size_text(stream['bytes']):>9}"

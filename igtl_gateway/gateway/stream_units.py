@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 
+from igtl_gateway.base.errors import WireError
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.units import UNITS
+from igtl_gateway.gateway.acceptance import Acceptance
+from igtl_gateway.gateway.dialogue.links import LINK_UP
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.gateway.streams import Streams, is_of_arm
 from igtl_gateway.gateway.to_igtl.sender import ARM_UNIT
 
@@ -20,6 +25,23 @@ def arm_units(notes: Iterable[Entry]) -> dict[int, str]:
             if (unit := note.data.get("unit")) in UNITS:
                 found |= dict.fromkeys(entry.links, unit)
     return found
+
+
+def arm_units_before(config: Config, inputs: Iterable[Entry]) -> dict[int, str]:
+    """Return the same of the peers whose first messages are inputs before a file that begins midway."""
+    peers = Peers(config)
+    for entry in inputs:
+        for link in entry.links if entry.kind in (Kind.LINK, Kind.IGTL_IN) else ():
+            if entry.kind is Kind.LINK:
+                note = Note.of(entry.data())
+                if note.code == LINK_UP:
+                    peers.up(link, note.data, entry.stamp_ns)
+                else:
+                    peers.down(link)
+            elif peer := peers.get(link):
+                with suppress(WireError):  # a damaged message shows nothing
+                    peer.learn_from(Acceptance.of(config).message(entry.data()))
+    return {peer.link: peer.profile.arm_unit for peer in peers.all() if peer.profile.arm_unit}
 
 
 class StreamUnits:

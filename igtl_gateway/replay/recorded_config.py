@@ -11,7 +11,7 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.acceptance import Acceptance
 from igtl_gateway.gateway.expected import PresentSources, expected_sources, missing_sources
 from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.gateway.stream_units import StreamUnits, arm_units
+from igtl_gateway.gateway.stream_units import StreamUnits, arm_units, arm_units_before
 from igtl_gateway.record.sessionfile import facts
 from igtl_gateway.record.sessionfile.reader import SessionFile
 
@@ -35,6 +35,7 @@ class RecordedSession(Protocol):
     @property
     def channels(self) -> Sequence[RecordedStream]: ...
     def entries_of_kinds(self, kinds: Collection[Kind]) -> Iterator[Entry]: ...
+    def prologue(self) -> list[Entry]: ...
 
 
 def config_to_run(session: Mapping[str, str], path: Path | None = None) -> Config:
@@ -83,5 +84,11 @@ def _recorded(file: RecordedSession) -> Config:
 def units_of(config: Config, file: RecordedSession) -> StreamUnits:
     """Return the units of the streams of a recording, by another configuration."""
     streams = ((each.kind, each.stream, each.entry_type) for each in file.channels if each.stream)
-    own = config.all_arms and config.fitting  # only then do notes state the unit of a peer
-    return StreamUnits(config, streams, arm_units(file.entries_of_kinds({Kind.NOTE})) if own else {})
+    return StreamUnits(config, streams, peer_units(config, file))
+
+
+def peer_units(config: Config, file: RecordedSession) -> dict[int, str]:
+    """Return link → unit of arms, of the peers of a recording with a unit of their own."""
+    if not (config.all_arms and config.fitting):  # only then do notes state the unit of a peer
+        return {}
+    return arm_units_before(config, file.prologue()) | arm_units(file.entries_of_kinds({Kind.NOTE}))

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import re
+from pathlib import Path
 
+import numpy as np
+import pytest
+
+import igtl_gateway
+from igtl_gateway.cli import main
 from igtl_gateway.config.configuration import Config, TfOutRow, ToIgtlRow, ToRosRow
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.replay.recorded_config import recorded_units
+from tests.gateway.to_igtl.test_composer import TIP, measured, script
 from tests.places import FIXTURES, PACKAGE
 
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -48,3 +57,40 @@ def test_only_the_table_of_units_knows_how_long_they_are() -> None:
     pattern = re.compile(r"\bUNITS\[|\bUNITS\.(get|items|values)\(")
     found = {path.name for path, text in code.items() if pattern.search(text) and "convert.units" in text}
     assert found == set()
+
+
+def test_a_part_alone_knows_the_units_of_peers_that_came_before_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The note about the unit of a peer is in an earlier part; its first message is in the prologue of this one."""
+    made = script()
+    measured(made)
+    before = [entry for entry in made.log if entry.kind.is_input]
+    after = len(made.log)
+    measured(made)
+    facts = {"config": json.dumps(made.gateway.config.to_dict())}
+    writer = SessionWriter(tmp_path / "part.mcap", facts, prologue=before)
+    for entry in made.log[after:]:
+        writer.write(entry)
+    writer.close({})
+    with SessionFile.open(tmp_path / "part.mcap") as file:
+        units = recorded_units(file)
+        found = {
+            entry.links: units.of(entry.kind, entry.channel, entry.type, entry.links)
+            for entry in file.entries()
+            if entry.channel == "TRANSFORM/PSM1/measured_cp"
+        }
+    assert found == {(1,): "mm", (2,): "m"}
+    with igtl_gateway.open(tmp_path / "part.mcap") as recording:
+        slicer, saw = (recording[f"TRANSFORM/PSM1/measured_cp@{link}"].poses().in_unit("mm") for link in (1, 2))
+    assert np.abs(slicer.positions[0] - 1000 * np.array(TIP)).max() < 1e-3
+    assert np.abs(saw.positions[0] - 1000 * np.array(TIP)).max() < 1e-3
+    assert main(["info", str(tmp_path / "part.mcap")]) == 0
+    told = capsys.readouterr().out
+    assert "lengths in m, mm (link 1)" in told
+    assert "units     m and mm in OpenIGTLink" in told
+    assert main(["info", str(tmp_path / "part.mcap"), "--json"]) == 0
+    (stream,) = [
+        each for each in json.loads(capsys.readouterr().out)["streams"] if each["stream"].startswith("TRANSFORM/PSM1")
+    ]
+    assert (stream["unit"], stream["link_units"]) == ("m", {"1": "mm"})

@@ -70,13 +70,16 @@ def read_markups(path: Path) -> list[Markup]:
 
 
 def _of_json(text: str, where: str) -> list[Markup]:
+    limits.check_limit("count", text.count("{"), f"{where}: objects")
     document = parse_json(text, where)
     found = _list(_fields(document, where).get("markups"), f"{where}: markups")
     limits.check_limit("fields", len(found), f"{where}: markups")
+    lists = (each.get("controlPoints") for each in found if isinstance(each, dict))
+    count = sum(len(each) for each in lists if isinstance(each, list))
+    limits.check_limit("count", count, f"{where}: control points")
     markups = [
         _markup(_fields(each, f"{where}: markup {at}"), f"{where}: markup {at}") for at, each in enumerate(found)
     ]
-    limits.check_limit("count", sum(len(each.points) for each in markups), f"{where}: control points")
     return markups
 
 
@@ -210,7 +213,7 @@ def _list(found: Any, where: str) -> list[Any]:
 def _text(found: Any, where: str) -> str:
     if not isinstance(found, str):
         raise DamagedRecording(f"{where}: found {_shown(found)}, expected text")
-    return found
+    return found.encode("utf-8", "replace").decode()  # JSON may hold half of a letter
 
 
 def _shown(found: Any) -> str:

@@ -1,7 +1,7 @@
 """Import of scenes of 3D Slicer (``.mrb``, ``.mrml``): poses, pictures, points and strings become messages of a peer.
 
 A scene has sequences, and nodes that do not change.  Each becomes a stream of OpenIGTLink that is named as its node:
-transforms TRANSFORM, volumes IMAGE, fiducials POINT, text nodes STRING; all others are counted with the reason.  The
+transforms TRANSFORM, volumes IMAGE, markups POINT, lines TRAJ, text nodes STRING; what else has data is named.  The
 index of an item is its time, in seconds from the start time, which is ``epoch_ns``, or what a scene of our own states.
 
 A bundle is a zip of others: nothing is unpacked that its head does not bound, no name leads out of it, and every file
@@ -11,25 +11,27 @@ is checked when it is needed.  Memory: the document, and one item of each stream
 from __future__ import annotations
 
 import heapq
+import lzma
 import math
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from urllib.parse import unquote
 
-import numpy as np
-
 from igtl_gateway.addon import NS_PER_S, DamagedRecording, GatewayError, UnsupportedRecording, distinct_names
-from igtl_gateway.addon.igtl import DEVICE_NAME_AT, Message, Points, String, Transform, cut_text, encode, ns_to_ticks
+from igtl_gateway.addon.igtl import DEVICE_NAME_AT, Body, Message, String, Transform, cut_text, encode, ns_to_ticks
 from igtl_gateway.addon.reading import join
 from igtl_gateway.addon.untrusted import Element, files, limits, parse_xml, whole_number
 from igtl_gateway.addon.writing import make_folder, open_new
-from igtl_gateway.addons.exchange.markups import read_markups
+from igtl_gateway.addons.exchange.markups import Markup, read_markups
 from igtl_gateway.addons.exchange.scene_nodes import read_facts
 from igtl_gateway.addons.exchange.sequence import DEFAULT_EPOCH_NS
 from igtl_gateway.addons.exchange.sequence import Sequence as SequenceFile
+from igtl_gateway.addons.exchange.slicer_file import content_of
 from igtl_gateway.addons.exchange.source import (
     ImportedItem,
     ImportedStream,
@@ -53,8 +55,24 @@ _NODES = {
     "Volume": "IMAGE",
     "VectorVolume": "IMAGE",
     "MarkupsFiducial": "POINT",
+    "MarkupsLine": "TRAJ",
+    **dict.fromkeys((f"Markups{kind}" for kind in ("Angle", "Curve", "ClosedCurve", "Plane", "ROI")), "POINT"),
     "Text": "STRING",
 }
+#: What is not imported although it has data: element → its name for people.
+_OTHERS = {
+    "Model": "models",
+    "Table": "tables",
+    "Segmentation": "segmentations",
+    "LabelMapVolume": "label maps",
+    "Transform": "transforms that are not linear",
+    "BSplineTransform": "B-spline transforms",
+    "GridTransform": "grid transforms",
+    "DiffusionTensorVolume": "tensor volumes",
+    "DiffusionWeightedVolume": "diffusion volumes",
+    "FiberBundle": "fibre bundles",
+}
+_MARKUPS = frozenset(tag for tag in _NODES if tag.startswith("Markups"))
 #: Times from 1970 to 2106.
 _END_NS = NS_PER_S << 32
 
@@ -85,7 +103,13 @@ class _Files:
         except (OSError, RuntimeError):
             is_outside = True
         if is_outside:
-            raise DamagedRecording(f"{self.where}: found a reference to {name[:80]!r}, a link out of the folder")
+            raise DamagedRecording(
+                f"{self.where}: found a reference to {name[:80]!r}, a link out of the folder, expected a file below it"
+            )
+        if not found.exists():
+            raise DamagedRecording(
+                f"{self.where}: found no {name[:80]!r} beside the scene, expected the file of a node"
+            )
         files.size_of(found)
         return found
 
@@ -101,7 +125,7 @@ class Bundle(_Files):
         self._room = tempfile.TemporaryDirectory(prefix="igtl-gateway-")
         self._done: dict[str, Path] = {}
         try:
-            with library_errors_as_damage(path):
+            with _zip_errors(path, where):
                 self._stream = files.open_file(path)
                 self._zip = zipfile.ZipFile(self._stream)
             self._infos = self._checked_infos()
@@ -152,7 +176,7 @@ class Bundle(_Files):
     def document(self) -> bytes:
         info = self._infos[self._document]
         limits.check_limit("free", info.file_size, f"{self.where}: {self._document}")
-        with library_errors_as_damage(self._path), self._zip.open(info) as stream:
+        with _zip_errors(self._path, f"{self.where}: {self._document}"), self._zip.open(info) as stream:
             return stream.read()
 
     def find(self, name: str) -> Path:
@@ -173,15 +197,14 @@ class Bundle(_Files):
     def _unpack(self, info: zipfile.ZipInfo, path: Path) -> None:
         deadline = files.deadline_of(self._path)
         size = 0
-        with library_errors_as_damage(self._path), self._zip.open(info) as old, open_new(path) as new:
+        where = f"{self.where}: {info.filename[:80]}"
+        with _zip_errors(self._path, where), self._zip.open(info) as old, open_new(path) as new:
             while part := old.read(_COPIED):
                 size += len(part)
                 deadline.check(self.where)
                 new.write(part)
         if size != info.file_size:
-            raise DamagedRecording(
-                f"{self.where}: {info.filename[:80]}: found {size:,} bytes, expected {info.file_size:,}"
-            )
+            raise DamagedRecording(f"{where}: found {size:,} bytes, expected {info.file_size:,}")
 
     def _unpack_pixels(self, header: Path, folder: PurePosixPath) -> None:
         """Unpack the file that an NRRD header names beside it."""
@@ -191,14 +214,32 @@ class Bundle(_Files):
                 if key.strip().lower().replace(" ", "") == "datafile":
                     name = value.strip().removeprefix("./")
                     info = self._infos.get(str(folder / _checked(name, self.where)))
-                    if info is not None and "/" not in name:
-                        self._unpack(info, header.parent / name)
+                    if info is None or "/" in name or name == header.name:
+                        raise DamagedRecording(
+                            f"{self.where}: {header.name}: found {name[:80]!r} as its file of pixels, expected a file "
+                            "of the bundle beside it"
+                        )
+                    self._unpack(info, header.parent / name)
                     return
 
     def close(self) -> None:
         self._zip.close()
         self._stream.close()
         self._room.cleanup()
+
+
+@contextmanager
+def _zip_errors(path: Path, where: str) -> Iterator[None]:
+    """Context manager: errors of the libraries that read a zip name the place, and what is found and expected."""
+    try:
+        with library_errors_as_damage(path):
+            yield
+    except DamagedRecording as error:
+        cause = error.__context__
+        if isinstance(cause, (zipfile.BadZipFile, zlib.error, lzma.LZMAError, NotImplementedError, EOFError)):
+            text = str(cause) or type(cause).__name__
+            raise DamagedRecording(f"{where}: found a damaged zip ({text}), expected a whole bundle") from None
+        raise
 
 
 def _checked(name: str, where: str) -> PurePosixPath:
@@ -312,9 +353,18 @@ class SceneSource(NonRosSource):
             for node, device in self._devices.items()
             if device != wanted[node]
         ]
+        self.rows += [
+            ImportedStream(node.name, 1, node.element.name, 0, 1, f"{what} are not imported")
+            for node in nodes.values()
+            if node.id not in moved.values() and (what := _OTHERS.get(node.element.name))
+        ]
         self._streams = [self._sequence(node) for node in sequences] + [self._still(node) for node in still]
-        if not any(row.declared for row in self.rows):
-            raise UnsupportedRecording(f"{self._path}: found no poses, pictures, points or strings, expected some")
+        if not any(row.declared > row.left_out for row in self.rows):
+            found = ", ".join(dict.fromkeys(_OTHERS[row.type] for row in self.rows if row.type in _OTHERS))
+            raise UnsupportedRecording(
+                f"{self._path}: found {f'only {found}' if found else 'no poses, pictures, points or strings'}, "
+                f"expected {'poses, pictures, points or strings' if found else 'some'}"
+            )
 
     def _device(self, node: _Node, shown: _Node | None) -> str:
         """Return the name of a node as that of a device: of our own scenes, that of the device."""
@@ -415,8 +465,9 @@ class SceneSource(NonRosSource):
             found.append((self._time(text, node.name), item))
         row.declared, kinds = len(found), {item.element.name for _, item in found}
         row.type = next((_NODES.get(kind, kind) for kind in kinds), "Sequence")
-        if not kinds <= {"Text", "MarkupsFiducial", "LinearTransform"}:
-            row.left_out, row.why = len(found), f"{', '.join(sorted(kinds))} are not imported"
+        if not kinds <= {"Text", "LinearTransform", *_MARKUPS}:
+            names = sorted(_OTHERS.get(kind, kind) for kind in kinds)
+            row.left_out, row.why = len(found), f"{', '.join(names)} are not imported"
             return iter(())
         found.sort(key=lambda one: one[0])
 
@@ -462,7 +513,8 @@ class SceneSource(NonRosSource):
         self, node: _Node, scene: dict[str, _Node], place: _Files, device: str, time_ns: int
     ) -> ImportedItem | None:
         """Return the message of a node; None if it is empty."""
-        content: Transform | String | Points
+        content: Body
+        kind = _NODES[node.element.name]
         match node.element.name:
             case "Text":
                 text = node.element.attributes.get("text", "")
@@ -478,11 +530,11 @@ class SceneSource(NonRosSource):
                     raise UnsupportedRecording(
                         f"{place.where}: {node.name}: found the file {name[:60]!r}, expected markups (.mrk.json)"
                     )
-                points = _points(place.find(name), f"{place.where}: {name}")
-                if points is None:
+                markup = _markup(place.find(name), f"{place.where}: {name}")
+                if not markup.points:
                     return None
-                content = points
-        message = Message(_NODES[node.element.name], device, content, ns_to_ticks(time_ns))
+                kind, content = content_of(markup)
+        message = Message(kind, device, content, ns_to_ticks(time_ns))
         return peer_item(time_ns, _LINK, join(encode(message)))
 
     def _transform(self, node: _Node, scene: dict[str, _Node]) -> Transform:
@@ -533,18 +585,12 @@ def _renamed(item: ImportedItem, device: str) -> ImportedItem:
     return replace(item, payload=memoryview(data), channel=f"{item.type}/{device}")
 
 
-def _points(path: Path, where: str) -> Points | None:
-    """Return the points of markups; None if there are none."""
+def _markup(path: Path, where: str) -> Markup:
+    """Return the markups of a file, which has one list."""
     try:
         markups = read_markups(path)
     except GatewayError as error:
         raise type(error)(str(error).replace(str(path), where)) from None
     if len(markups) != 1:
         raise DamagedRecording(f"{where}: found {len(markups)} lists of points, expected markups with one")
-    if not markups[0].points:
-        return None
-    points = Points.of(np.array(markups[0].points, np.float64))
-    elements = points.elements.copy()
-    elements["name"] = [cut_text(label, 64).encode("utf-8", "replace") for label in markups[0].labels]
-    elements["group"] = b"Fiducial"
-    return Points(elements)
+    return markups[0]

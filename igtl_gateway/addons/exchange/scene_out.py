@@ -280,7 +280,7 @@ class _SceneWriter:
             track.name = names[id(track)]
 
     def _is_direct(self, track: Track) -> bool:
-        return any(each is track and key[:3] == self._reading.direct for key, each in self._reading.tracks.items())
+        return any(each is track and key == self._reading.direct for key, each in self._reading.tracks.items())
 
     # -- nodes
 
@@ -462,9 +462,10 @@ class _SceneWriter:
                 "pointLabelsVisibility": "true",
                 "propertiesLabelVisibility": "false",
             }
-            shown = self.scene.add("MarkupsFiducialDisplay", f"{track.name} display", display, hidden=True)
+            kind = "MarkupsFiducialDisplay" if track.tag == "MarkupsFiducial" else "MarkupsDisplay"
+            shown = self.scene.add(kind, f"{track.name} display", display, hidden=True)
             values_of = {"locked": "true", "controlPointLabelFormat": "%d"}
-            node = self.scene.add("MarkupsFiducial", track.name, values_of, [("display", shown), ("transform", above)])
+            node = self.scene.add(track.tag, track.name, values_of, [("display", shown), ("transform", above)])
         self._played.append((sequence, node, track))
 
     def _model(self, name: str, file: str, above: str, display: dict[str, object]) -> str:

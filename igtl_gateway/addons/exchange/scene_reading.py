@@ -15,12 +15,34 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import ConfigError, FreeNames, failure_text
-from igtl_gateway.addon.igtl import Cells, NdArray, PolyData, Sensor, Status, String, describe_content
-from igtl_gateway.addon.messages import colour_field, millimetres
+from igtl_gateway.addon import ConfigError, FreeNames, UnsupportedRecording, distinct_names, failure_text
+from igtl_gateway.addon.igtl import (
+    ENTRY_ONLY,
+    TARGET_ONLY,
+    Cells,
+    Image,
+    NdArray,
+    PolyData,
+    Sensor,
+    Status,
+    String,
+    Trajectories,
+    decode_text,
+    describe_content,
+)
+from igtl_gateway.addon.messages import (
+    LengthUnits,
+    ToIgtlContext,
+    colour_field,
+    into_ros,
+    millimetres,
+    trajectories_to_igtl,
+)
+from igtl_gateway.addon.notes import LINK_UP
 from igtl_gateway.addon.reading import (
     Entry,
     Kind,
+    Note,
     SessionFile,
     Stream,
     block_of,
@@ -28,7 +50,7 @@ from igtl_gateway.addon.reading import (
     recorded_acceptance,
     recorded_units,
 )
-from igtl_gateway.addon.ros import FrameTransform, JointState, LinkStatusList, TFMessage
+from igtl_gateway.addon.ros import FrameTransform, JointState, LinkStatusList, TFMessage, TrajectoryList
 from igtl_gateway.addon.ros import String as RosString
 from igtl_gateway.addon.streams import POSE_TYPES, Cloud, Interleaving, name_ros_fields, tools_of, transforms_of
 from igtl_gateway.addon.untrusted import MessageDecoder
@@ -62,6 +84,7 @@ SURFACES = frozenset(
     }
 )
 POINTS = frozenset({"POINT", "igtl_msgs/msg/PointList", "geometry_msgs/msg/PointStamped"})
+PLANS = frozenset({"TRAJ", TrajectoryList.TYPE})
 _TEXTS = frozenset({"STRING", "STATUS", RosString.TYPE})
 _NUMBERS = frozenset({"SENSOR", "NDARRAY"})
 #: Poses that wait to be decoded together.
@@ -69,9 +92,18 @@ _BATCH = 5_000
 _HEAD_BYTES = 4_096  # a stamp is in the first ones of a message
 _MOST_NUMBERS, _MOST_COLUMNS = 32, 512
 _MOST_CHARS = 100_000
+#: Bytes of the pictures of one scene: 3D Slicer holds all of them in memory.
+MOST_PIXELS = 4 << 30
+#: Paths of different names in one stream of plans: each is a line of its own.
+_MOST_PATHS = 200
 _MARKUPS = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/markups-schema-v1.0.3.json#"
 _ROBOT = re.compile(r"\s*<(\?xml|!--|robot\b)")
 _STATUS = b"TransformStatus"
+
+
+class TooLarge(UnsupportedRecording):
+    """A session has more pictures than a scene holds."""
+
 
 #: Takes a message; returns the track that has it.
 _Taker = Callable[[Entry, ExportedStream], Track | None]
@@ -127,8 +159,17 @@ class SceneReading:
         self._waiting: dict[tuple[object, ...], list[Entry]] = {}
         self._links: dict[tuple[Kind, str, str], Interleaving] = {}
         self._files = FreeNames()
+        #: Stream of plans → the names of the paths in its last message.
+        self._shown: dict[tuple[object, ...], set[str]] = {}
+        #: Stream of plans, name of a path → its track.
+        self._path_tracks: dict[tuple[tuple[object, ...], str], ItemTrack] = {}
         counts = {(each.kind, each.stream or each.topic, each.entry_type): each.count for each in self.file.channels}
         self._counts = counts
+        self._pixels = 0
+        #: Links that are down.
+        self._gone: set[int] = set()
+        #: Stream → link → the end of the key of its tracks.
+        self._lanes: dict[tuple[Kind, str, str], dict[int, str]] = {}
         self._span_ns = max(1, self.file.end_ns - self.file.start_ns)
 
     # -- the pass
@@ -139,9 +180,11 @@ class SceneReading:
         last: Track | None = None
         written = ""
 
-        def on_input(_entry: Entry) -> None:
+        def on_input(entry: Entry) -> None:
             nonlocal last, written
             last, written = None, ""
+            if entry.kind is Kind.LINK:
+                self._see_link(entry)
 
         for entry in chosen_entries(self.file, kinds, self.globs, self.account, on_input=on_input):
             key = (entry.kind, entry.channel, entry.type)
@@ -166,6 +209,8 @@ class SceneReading:
                 continue
             try:
                 last = several.take(entry, row)
+            except TooLarge:
+                raise
             except Exception as error:  # decoding raises many types of errors; only this message is left out
                 row.fail(failure_text(error))
                 continue
@@ -174,6 +219,8 @@ class SceneReading:
         for key_of_poses in list(self._waiting):
             self._decode(key_of_poses)
         self._join_links()
+        self._join_frames()
+        self._name_lanes()
         for name, track in list(self.tracks.items()):
             if not track.times:
                 self._drop(name, track)
@@ -202,7 +249,7 @@ class SceneReading:
         """Return how the messages of a stream are taken, by its first one."""
         take = self._taker_of(entry)
         key = (entry.kind, entry.channel, entry.type)
-        most = MOST_ITEMS if entry.type in SURFACES | POINTS | _TEXTS else MOST_SAMPLES
+        most = MOST_ITEMS if entry.type in SURFACES | POINTS | PLANS | _TEXTS else MOST_SAMPLES
         return _Several(take, Pace.of(self.rate, self._counts.get(key, 0), most, self._span_ns))
 
     def _taker_of(self, entry: Entry) -> _Taker | None:
@@ -215,6 +262,8 @@ class SceneReading:
             return self._surface
         if kind in POINTS:
             return self._points
+        if kind in PLANS:
+            return self._plan
         if kind in ("TDATA", "QTDATA", TFMessage.TYPE):
             return self._poses_of_frames
         if kind in POSE_TYPES:
@@ -259,6 +308,37 @@ class SceneReading:
             given = {"wanted": name or entry.type, "sender": sender, **more}
             track = self.tracks[key] = kind(source=f"{side}:{entry.channel}", type=entry.type, **given)
         return track
+
+    # -- peers
+
+    def _see_link(self, entry: Entry) -> None:
+        """Take notice of a peer that came or went."""
+        if Note.of(entry.data()).code == LINK_UP:
+            self._gone.difference_update(entry.links)
+        else:
+            self._gone.update(entry.links)
+
+    def _key(self, entry: Entry, *more: str) -> tuple[object, ...]:
+        """Return the key of a track: a peer beside another one has its own, one that came again goes on with its."""
+        stream = (entry.kind, entry.channel, entry.type)
+        if entry.kind is not Kind.IGTL_IN or not entry.links:
+            return (*stream, *more)
+        lanes, link = self._lanes.setdefault(stream, {}), entry.links[0]
+        if link not in lanes:
+            free = (lane for lane in lanes.values() if {at for at, its in lanes.items() if its == lane} <= self._gone)
+            lanes[link] = next(free, f"@{link}" if lanes else "")
+        return (*stream, *more, lanes[link]) if lanes[link] else (*stream, *more)
+
+    def _name_lanes(self) -> None:
+        """Name the peers of streams that came from several at the same time."""
+        for stream, lanes in self._lanes.items():
+            if len(set(lanes.values())) < 2:
+                continue
+            first = next(iter(lanes))
+            for key, track in self.tracks.items():
+                if key[:3] == stream and not isinstance(track, PoseTrack):
+                    lane = str(key[-1]) if key[-1] in lanes.values() and len(key) > 3 else f"@{first}"
+                    track.wanted, track.source = f"{track.wanted}{lane}", f"{track.source}{lane}"
 
     # -- poses
 
@@ -312,7 +392,7 @@ class SceneReading:
         static = ros and entry.channel.rpartition("/")[2] == "tf_static"
         track: PoseTrack | None = None
         for parent, child, stamp_ns, matrix in found:
-            key = (entry.kind, entry.channel, entry.type, parent, child)
+            key = self._key(entry, parent, child)
             track = self._new(
                 entry, PoseTrack, key, rank=0 if ros else 2, frame=parent, child=child, static=static,
                 wanted=f"{child} to {parent}" if parent else child,
@@ -347,13 +427,22 @@ class SceneReading:
                     first.parts += other.parts
                     del self.tracks[name]
 
+    def _join_frames(self) -> None:
+        """Give the paths of a plan the frame that a copy has shown of one of them."""
+        plans = {key: track for key, track in self.tracks.items() if key[2] in PLANS}
+        frames = {key[:3]: track.frame for key, track in plans.items() if track.frame}
+        for key, track in plans.items():
+            track.frame = track.frame or frames.get(key[:3], "")
+
     # -- pictures
 
     def _picture(self, entry: Entry, row: ExportedStream) -> Track | None:
         image = export_picture_of(entry, self._unit(entry), self._accepted)
-        key = (entry.kind, entry.channel, entry.type)
+        key = self._key(entry)
         track: PictureTrack = self._new(entry, PictureTrack, key)
         if track.stream is None:
+            if len(key) == 3:  # with all peers
+                self._check_size(entry, image)
             name = self._files.take(_token(track.wanted))
             track.file = f"{DATA}/{name}.raw"
             if self.store.direct or key == self.direct:
@@ -371,13 +460,37 @@ class SceneReading:
         row.taken += 1
         return track
 
+    def _check_size(self, entry: Entry, image: Image) -> None:
+        """Count the pixels of a stream, by its first picture.  Raises TooLarge."""
+        key = (entry.kind, entry.channel, entry.type)
+        count, pace = self._counts.get(key, 1), self._kinds[key].pace
+        if pace.period_ns:
+            count = min(count, self._span_ns // pace.period_ns + 1)
+        self._pixels += count * image.expected_bytes
+        if self._pixels > MOST_PIXELS:
+            raise TooLarge(
+                f"{self.file.path}: found {self._pixels:,} bytes of pictures up to {entry.channel}, expected at most "
+                f"{MOST_PIXELS:,} in one scene: igtl-gateway slice --start S --end S makes parts of a session; "
+                "--rate and --streams leave pictures out"
+            )
+
     # -- items
 
     def _items(
-        self, entry: Entry, tag: str, storage: str, suffix: str, empty: tuple[dict[str, object], bytes]
+        self,
+        entry: Entry,
+        tag: str,
+        storage: str,
+        suffix: str,
+        empty: tuple[dict[str, object], bytes],
+        more: tuple[str, ...] = (),
     ) -> ItemTrack:
-        key = (entry.kind, entry.channel, entry.type)
+        """Return the track of a stream; ``more``: the name of a part of it, which is a track of its own."""
+        key = self._key(entry, *more)
+        is_new = key not in self.tracks
         track: ItemTrack = self._new(entry, ItemTrack, key, tag=tag, storage=storage, suffix=suffix, empty=empty)
+        if is_new and more:
+            track.wanted, track.source = (f"{each} {' '.join(more)}" for each in (track.wanted, track.source))
         if track.stream is None:
             track.file = f"{DATA}/{self._files.take(_token(track.wanted))}.seq.mrb"
             path = self.store.waiting(track.file)
@@ -429,6 +542,71 @@ class SceneReading:
         row.taken += 1
         track.row = row
         return track
+
+    def _plan(self, entry: Entry, row: ExportedStream) -> Track | None:
+        """Take a plan: each of its paths is a line, which is empty while the plan does not have it."""
+        elements = self._paths(entry)
+        ends = np.stack([elements["entry"], elements["target"]], axis=1).astype(float)
+        meant = np.array([_ENDS.get(int(kind), (True, True)) for kind in elements["type"]]).reshape(-1, 2)
+        good = (np.isfinite(ends).all(axis=2) | ~meant).all(axis=1)
+        labels = [decode_text(bytes(name)) or "path" for name in elements["name"]]
+        names = distinct_names(dict(enumerate(labels)), lambda name: name, other=lambda name, n: f"{name} {n}")
+        begin = self._key(entry)
+        known = {name: track for (stream, name), track in self._path_tracks.items() if stream == begin}
+        before, shown, beyond = self._shown.get(begin, set()), set[str](), 0
+        for number, name in names.items():
+            if not good[number]:
+                continue
+            if name not in known and len(known) >= _MOST_PATHS:
+                beyond += 1
+                continue
+            path, points = elements[number], ends[number][meant[number]]
+            track = known[name] = self._path_track(entry, name)
+            if any(path["rgba"]) and track.colour is None:
+                red, green, blue = (float(value) / 255 for value in path["rgba"][:3])
+                track.colour = red, green, blue
+            track.see(points)
+            track.add({}, (_line(path, points, meant[number]),))
+            track.add_time(entry, self._stamp(entry))
+            track.row = row
+            shown.add(name)
+        for name in before - shown:  # the plan does not have it any more
+            track = self._path_track(entry, name)
+            track.add({}, (_NO_LINE,))
+            track.add_time(entry, self._stamp(entry))
+        self._shown[begin] = shown
+        for count, why in (
+            (int(np.count_nonzero(~good)), "no finite coordinates"),
+            (beyond, f"more than {_MOST_PATHS} different ones in a stream"),
+        ):
+            if count:
+                part = self.account.part(entry, "paths")
+                part.declared += count
+                part.leave_out(why, count)
+        row.taken += 1
+        return next(iter(known.values()), None)
+
+    def _path_track(self, entry: Entry, name: str) -> ItemTrack:
+        track = self._items(entry, "MarkupsLine", "MarkupsJsonStorage", "mrk.json", ({}, _NO_LINE), (name,))
+        self._path_tracks[self._key(entry), name] = track
+        return track
+
+    def _paths(self, entry: Entry) -> Array:
+        """Return the paths of a plan (``TRAJECTORY_DTYPE``), mm."""
+        unit = self._unit(entry)
+        if entry.kind in ROS_KINDS:
+            message = TrajectoryList.unpack(entry.data())
+            content = trajectories_to_igtl(message, ToIgtlContext(LengthUnits(unit, "mm"))).content
+        else:
+            content = self._accepted.message(entry.data()).content
+        if not isinstance(content, Trajectories):
+            raise ConfigError("found no plan, expected one")
+        if entry.kind in ROS_KINDS or unit == "mm":
+            return content.elements
+        elements, lengths = content.elements.copy(), millimetres(unit)
+        for name in ("entry", "target", "diameter"):
+            elements[name] = into_ros(lengths, elements[name], np.empty(elements[name].shape, np.float32))
+        return elements
 
     def _text(self, entry: Entry, row: ExportedStream) -> Track | None:
         if entry.kind in ROS_KINDS:
@@ -492,7 +670,7 @@ class SceneReading:
                 raise ConfigError("found no numbers, expected some")
         if len(values) > 256:
             raise ConfigError(f"found {len(values):,} numbers, expected at most 256 in a table")
-        track: NumberTrack = self._new(entry, NumberTrack, (entry.kind, entry.channel, entry.type))
+        track: NumberTrack = self._new(entry, NumberTrack, self._key(entry))
         self._take_numbers(track, entry, row, {str(number + 1): float(v) for number, v in enumerate(values.tolist())})
         return track
 
@@ -551,7 +729,7 @@ def _learn(track: Track, copy: Entry) -> None:
         if copy.type == FrameTransform.TYPE:
             found = FrameTransform.unpack(copy.data())
             track.frame, track.child = found.header.frame_id, found.child_frame_id
-    elif copy.type in PICTURES | SURFACES | POINTS:
+    elif copy.type in PICTURES | SURFACES | POINTS | PLANS:
         track.frame = frame_id_of(copy)
 
 
@@ -621,9 +799,32 @@ def _markups(
     return _markups_file(controls), colour
 
 
-def _markups_file(controls: list[dict[str, object]]) -> bytes:
+def _line(path: Any, points: Array, meant: Array) -> bytes:
+    """Return a path as a line of 3D Slicer: the ends that its type means; what a line does not have is described."""
+    words = {"group": decode_text(bytes(path["group"])), "owner": decode_text(bytes(path["owner"]))}
+    if path["diameter"]:
+        words["diameter"] = f"{float(path['diameter']):g} mm"
+    controls: list[dict[str, object]] = [
+        {
+            "id": str(number + 1),
+            "label": label,
+            "description": "; ".join(f"{name}: {word}" for name, word in words.items() if word),
+            "position": point,
+            "selected": True,
+            "locked": True,
+            "visibility": True,
+            "positionStatus": "defined",
+        }
+        for number, (label, point) in enumerate(zip(np.array(["entry", "target"])[meant], points.tolist(), strict=True))
+    ]
+    return _markups_file(controls, "Line")
+
+
+def _markups_file(controls: list[dict[str, object]], kind: str = "Fiducial") -> bytes:
     one = {
-        "type": "Fiducial",
+        "type": kind,
+        # 3D Slicer logs three warnings for each line in a sequence that measures its length
+        **({"measurements": [{"name": "length", "enabled": False}]} if kind == "Line" else {}),
         "coordinateSystem": "RAS",
         "coordinateUnits": "mm",
         "locked": True,
@@ -643,5 +844,7 @@ def _with_cells(content: PolyData) -> PolyData:
     return replace(content, vertices=Cells(count, data.ravel()))
 
 
-_NO_MARKUPS = _markups_file([])
+_NO_MARKUPS, _NO_LINE = _markups_file([]), _markups_file([], "Line")
+#: Type of a path → whether its entry, and its target, are meant.
+_ENDS = {ENTRY_ONLY: (True, False), TARGET_ONLY: (False, True)}
 _EMPTY_SURFACE = b"# vtk DataFile Version 3.0\nempty, SPACE=RAS\nBINARY\nDATASET POLYDATA\nPOINTS 0 float\n\n"

@@ -27,6 +27,7 @@ from igtl_gateway.addons.exchange.scene_store import entry_info
 Array = npt.NDArray[Any]
 Times = npt.NDArray[np.int64]
 
+_SELECTION = "vtkMRMLSelectionNodeSingleton"
 SAME_MS = "another one has its millisecond"
 #: Items of a track, by default: what a reader of 3D Slicer loads in a minute; it is quadratic in their number.
 MOST_SAMPLES, MOST_ITEMS = 20_000, 2_000
@@ -314,6 +315,8 @@ class ItemTrack(Track):
         """Write the scene of the kept items, close the bundle, and return the index values of the sequence."""
         assert self.stream is not None
         scene, words = Scene(), []
+        if self.tag == "MarkupsLine":  # 3D Slicer measures a line while it reads it, and logs where it finds no units
+            scene.add("Selection", "Selection", {"singletonTag": "Singleton"}, node=_SELECTION, hidden=True)
         items = [(int(number), index_text(ms)) for number, ms in zip(self.order, self.ms.tolist(), strict=True)]
         if begin_empty:
             number = len(self.values)

@@ -101,7 +101,7 @@ def _markups(path: Path, source: SlicerFile) -> list[Content]:
             )
         if not markup.has_space:
             source.notes.append(f"{device}: the file states no coordinate system: LPS, as in 3D Slicer")
-        kind, content = _content(markup)
+        kind, content = content_of(markup)
         row = ImportedStream(device, 1, kind, taken=1)
         if markup.undefined:
             row.why = f"without {markup.undefined} control points that have no position"
@@ -119,7 +119,8 @@ def _markups(path: Path, source: SlicerFile) -> list[Content]:
     return contents
 
 
-def _content(markup: Markup) -> tuple[str, Body]:
+def content_of(markup: Markup) -> tuple[str, Body]:
+    """Return markups as type and content of a message."""
     positions = np.array(markup.points, float).reshape(-1, 3)
     if markup.kind == LINE and len(positions) == 2:
         path = np.zeros(1, Trajectories.DTYPE)

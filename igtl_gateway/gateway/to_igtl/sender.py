@@ -10,12 +10,11 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from igtl_gateway.base.errors import ConversionError, WireError
 from igtl_gateway.base.stamp import ns_to_ticks
 from igtl_gateway.base.values import value
 from igtl_gateway.convert.igtl_msgs import MetadataItem
 from igtl_gateway.convert.profiles import UNRECOGNISED, Adapted
-from igtl_gateway.convert.substitutes import Shown, Substitute
+from igtl_gateway.convert.substitutes import Shown
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.fates import NOT_FOR
 from igtl_gateway.gateway.log.note import Level
@@ -24,6 +23,7 @@ from igtl_gateway.gateway.naming import ShownNames
 from igtl_gateway.gateway.outcome import Finding, conversion_failure
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer
+from igtl_gateway.gateway.substitution import Step, in_place_of
 from igtl_gateway.wire import Message, Raw, encode
 from igtl_gateway.wire.body import Body
 
@@ -169,48 +169,43 @@ def _send_instead(
     entry: Entry, out: OutboundMessage, peers: Sequence[Peer], sent: SendResult, *, asked: bool, names: ShownNames
 ) -> None:
     """Send peers what their table has in place of a message."""
-    groups: dict[int, tuple[Substitute, list[Peer]]] = {}
-    for peer in peers:
-        if row := peer.instead_of(out.igtl_type):
-            groups.setdefault(id(row), (row, []))[1].append(peer)
-    for row, members in groups.values():
-        try:
-            made = row.instead(out.full_name or out.device, out.content)
-        except (ConversionError, WireError) as error:
-            sent.refused.append(conversion_failure(error, f"{out.channel} is not shown as {row.shown_as}", entry))
+    message = Shown(out.igtl_type, out.full_name or out.device, out.content)
+    for step in in_place_of(message, out.channel, peers, names):
+        if step.error is not None:
+            text = f"{step.source} is not shown as {step.row.shown_as}"
+            sent.refused.append(conversion_failure(step.error, text, entry))
             continue
-        for one in made:
-            moved = _in_place_of(out, one, names)
-            part = send(entry, moved, members, asked=asked, names=names)
-            sent.outputs += part.outputs
-            sent.warnings += part.warnings
-            sent.refused += part.refused
-            sent.shown += part.shown
-            sent.shown += [_shown(entry, peer, out, moved, row) for peer in members if peer.may_send(moved.igtl_type)]
+        assert step.shown is not None
+        moved = _moved(out, step.shown, step)
+        sent.refused += [held_back(entry, peer, moved.igtl_type, moved.channel) for peer in step.left]
+        part = send(entry, moved, step.readers, asked=asked)
+        sent.outputs += part.outputs
+        sent.warnings += part.warnings
+        sent.refused += part.refused
+        sent.shown += part.shown
+        sent.shown += [_shown(entry, peer, moved, step) for peer in step.readers]
 
 
-def _in_place_of(out: OutboundMessage, shown: Shown, names: ShownNames) -> OutboundMessage:
-    device, full_name = names.of(shown.igtl_type, shown.name, out.channel)
-    own = shown.name == (out.full_name or out.device)
+def _moved(out: OutboundMessage, shown: Shown, step: Step) -> OutboundMessage:
     return OutboundMessage(
         shown.igtl_type,
-        device,
+        step.device,
         shown.content,
         out.stamp_ns,
-        full_name,
+        step.full_name,
         out.ros_stamp_ns,
         out.frame_id,
-        out.child_frame_id if own else "",
+        out.child_frame_id if step.is_own else "",
         out.metadata,
         out.is_static,
     )
 
 
-def _shown(entry: Entry, peer: Peer, out: OutboundMessage, moved: OutboundMessage, row: Substitute) -> Finding:
+def _shown(entry: Entry, peer: Peer, moved: OutboundMessage, step: Step) -> Finding:
     """Return the finding about what a peer gets in place of a stream; reported once for each of the two."""
     address, profile = peer.address or "the peer", peer.profile.name
-    text = f"{out.channel} goes to {address} as {moved.channel}: {row.why} (profile {profile})"
-    subject = f"{out.channel} {moved.channel}"
+    text = f"{step.source} goes to {address} as {moved.channel}: {step.row.why} (profile {profile})"
+    subject = f"{step.source} {moved.channel}"
     return Finding(Level.INFO, "shown_instead", text, entry.channel, entry.links, subject=subject, by=peer.link)
 
 

@@ -38,6 +38,9 @@ class InMemory:
     def entries_of_kinds(self, kinds: Collection[Kind]) -> Iterator[Entry]:
         return (entry for entry in self.entries() if entry.kind in kinds)
 
+    def prologue(self) -> list[Entry]:
+        return []
+
     def beside(self) -> Iterator[Attachment | Metadata]:
         return iter(())
 

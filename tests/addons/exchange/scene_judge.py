@@ -79,6 +79,7 @@ def opened(path: Path) -> tuple[Any, Any]:
     colours.SetMRMLScene(scene)
     colours.AddDefaultColorNodes()
     scene.colours = colours  # without the logic, its nodes go
+    scene.AddNewNodeByClass("vtkMRMLSelectionNode")  # the program has one, by which lines find their units
     cache, data = slicer.vtkCacheManager(), slicer.vtkDataIOManager()
     cache.SetRemoteCacheDirectory(tempfile.mkdtemp())
     data.SetCacheManager(cache)

@@ -180,8 +180,26 @@ def bomb(path: Path) -> Path:
 
 ENTITIES = '<?xml version="1.0"?><!DOCTYPE MRML [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><MRML>&b;</MRML>'
 
+
+def garbled(path: Path) -> Path:
+    """A bundle with one byte of a file changed."""
+    bundle(path, mrml(stored("Data/a.seq.mha")), {"S/Data/a.seq.mha": b"x" * 64})
+    path.write_bytes(path.read_bytes().replace(b"xxxx", b"xyxx", 1))
+    return path
+
+
+def pixels(name: str) -> Callable[[Path], Path]:
+    """A bundle whose pictures have their pixels in another file."""
+    node = stored("Data/v.seq.nhdr").replace("LinearTransformSequence", "VolumeSequence")
+    header = f"NRRD0005\ntype: uchar\ndimension: 3\nsizes: 1 1 1\nencoding: raw\ndata file: {name}\n"
+    return lambda path: bundle(path, mrml(node), {"S/Data/v.seq.nhdr": header.encode()})
+
+
 BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "not a zip": (cut, "zip"),
+    "a damaged file": (garbled, "S/Data/a.seq.mha: found a damaged zip (Bad CRC-32"),
+    "pixels that are missing": (pixels("w.raw"), "v.seq.nhdr: found 'w.raw' as its file of pixels, expected a file"),
+    "pixels that are the header": (pixels("v.seq.nhdr"), "found 'v.seq.nhdr' as its file of pixels, expected a file"),
     "a name twice": (twice, "twice"),
     "a size that lies": (lying, "stored in"),
     "a bomb": (bomb, "ratio"),
@@ -306,3 +324,50 @@ def test_markups_of_another_shape_are_refused(tmp_path: Path) -> None:
         with pytest.raises(GatewayError, match=r"m\.mrk\.json: .*found .*expected"):
             list(source.items())
         source.close()
+
+
+def marks_of(kind: str, *points: list[float]) -> tuple[str, dict[str, bytes]]:
+    """A node of markups of a kind, and its file."""
+    node = (
+        f'<Markups{kind} id="m1" name="{kind}" references="storage:k1;"></Markups{kind}>'
+        '<MarkupsJsonStorage id="k1" name="K" fileName="m.mrk.json"></MarkupsJsonStorage>'
+    )
+    controls = [{"position": each, "label": f"P{at}"} for at, each in enumerate(points)]
+    content = {"markups": [{"type": kind, "coordinateSystem": "RAS", "controlPoints": controls}]}
+    return node, {"S/m.mrk.json": json.dumps(content).encode()}
+
+
+@pytest.mark.parametrize(
+    ("kind", "stream"),
+    [("Line", "TRAJ/Line"), *((kind, f"POINT/{kind}") for kind in ("Angle", "Curve", "ClosedCurve", "Plane", "ROI"))],
+)
+def test_markups_of_every_kind_are_imported(tmp_path: Path, kind: str, stream: str) -> None:
+    node, files = marks_of(kind, [1, 2, 3], [4, 5, 6])
+    path = bundle(tmp_path / "m.mrb", mrml(node), files)
+    assert main(["import", str(path), "-o", str(tmp_path / "m.mcap")]) == 0
+    with igtl_gateway.open(tmp_path / "m.mcap") as session:
+        (message,) = session[stream].messages()
+    if kind == "Line":
+        assert message.content.elements["entry"].tolist() == [[1, 2, 3]]
+        assert message.content.elements["target"].tolist() == [[4, 5, 6]]
+    else:
+        assert message.content.elements["position"].tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
+def test_what_is_not_imported_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    others = '<Model id="o1" name="Liver"/><Table id="o2" name="Doses"/><Segmentation id="o3" name="Organs"/>'
+    path = bundle(tmp_path / "o.mrb", mrml(pose() + others))
+    assert main(["import", str(path), "-o", str(tmp_path / "o.mcap")]) == 0
+    told = capsys.readouterr().out
+    for name, kind, why in (
+        ("Liver", "Model", "models are not imported"),
+        ("Doses", "Table", "tables are not imported"),
+        ("Organs", "Segmentation", "segmentations are not imported"),
+    ):
+        (line,) = [line for line in told.splitlines() if name in line]
+        assert kind in line and why in line
+    path = bundle(tmp_path / "only.mrb", mrml(others))
+    assert main(["import", str(path), "-o", str(tmp_path / "only.mcap")]) == 2
+    assert "found only models, tables, segmentations, expected poses, pictures, points or strings" in (
+        capsys.readouterr().err
+    )

@@ -1,6 +1,7 @@
 """Run the table and write ``docs/evidence/hostile-files.md`` again: ``python -m tests.integration.hostile_files``.
 
-``--tree`` runs the command line of another checkout, whose counts stand on the page as those of before.
+``--tree`` runs the command line of another checkout, whose counts stand on the page as those of before; ``--sort`` runs
+files of some sorts, whose counts stand beside those of the last run of all.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import sys
 from pathlib import Path
 
 from igtl_gateway.cli.terminal import print_line
+from tests.integration.hostile_files.case import VERBS
 from tests.integration.hostile_files.page import RESULTS, answers, results, write
 from tests.integration.hostile_files.table import CASES, Outcome, outcomes, summary
 from tests.places import ROOT
@@ -21,6 +23,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--tree", type=Path, default=ROOT, help="run the command line of this checkout")
     parser.add_argument("--only", default="", help="files whose name begins so; nothing is written")
+    parser.add_argument("--sort", action="append", choices=VERBS, help="only files of this sort; may be repeated")
     parser.add_argument(
         "--verbs", type=int, help="run the first verb of each sort and N others, round-robin (default: all)"
     )
@@ -30,7 +33,8 @@ def main() -> int:
         write(results())
         return 0
     found: list[Outcome] = []
-    cases = [case for case in CASES if case.name.startswith(options.only)]
+    sorts = options.sort or VERBS
+    cases = [case for case in CASES if case.name.startswith(options.only) and case.sort in sorts]
     for outcome in outcomes(cases, options.tree, patient=options.tree == ROOT, verbs=options.verbs):
         found.append(outcome)
         if outcome.faults:
@@ -44,9 +48,12 @@ def main() -> int:
         ["git", "-C", str(options.tree), "log", "-1", "--format=%h"], capture_output=True, text=True, check=True
     ).stdout.strip()
     told = results() if RESULTS.exists() else {}
-    told["now" if options.tree == ROOT else "before"] = {"tree": f"`{commit}`", **counts}
+    which = "before" if options.tree != ROOT else "added" if options.sort else "now"
+    told[which] = {"tree": f"`{commit}`" + "".join(f", {sort}" for sort in options.sort or ()), **counts}
+    if which == "now":
+        told.pop("added", None)
     if options.tree == ROOT:
-        told["answers"] = answers(found)
+        told["answers"] = (told["answers"] if options.sort else {}) | answers(found)
     RESULTS.write_text(json.dumps(told, indent=0, ensure_ascii=False, sort_keys=True) + "\n", "utf-8")
     write(told)
     return int(bool(counts["files with a fault"]))

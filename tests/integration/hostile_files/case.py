@@ -122,6 +122,8 @@ VERBS: dict[str, tuple[str, ...]] = {
     "ROS 1 bag": ("import F -o OUT.mcap", "import F -o OUT.mcap --json", "info F"),
     "ROS 2 bag": ("import F -o OUT.mcap", "import F -o OUT.mcap --json", "info F"),
     "sequence": ("import F -o OUT.mcap", "import F -o OUT.mcap --json", "info F"),
+    "scene": ("import F -o OUT.mcap", "import F -o OUT.mcap --json", "info F"),
+    "file of 3D Slicer": ("import F -o OUT.mcap", "import F -o OUT.mcap --json", "info F"),
     "capture": ("import F -o OUT.mcap", "import F -o OUT.mcap --json", "decode F"),
     "stream": ("decode F", "decode F -o OUT.igtl", "import F -o OUT.mcap", "info F"),
     "robot": ("view SMALL -o OUT.rrd --urdf F", "view SMALL -o OUT.rrd --json --urdf F"),

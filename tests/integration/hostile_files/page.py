@@ -23,7 +23,7 @@ _SHORTEST = 70
 
 
 def results() -> dict[str, Any]:
-    """``{"before": counts, "now": counts, "answers": {name: [exit code, text]}}``"""
+    """``{"before": counts, "now": counts, "added": counts, "answers": {name: [exit code, text]}}``"""
     told: dict[str, Any] = json.loads(RESULTS.read_text("utf-8"))
     return told
 
@@ -39,7 +39,7 @@ def answers(found: Iterable[Outcome]) -> dict[str, tuple[object, str]]:
 
 def page(told: Mapping[str, Any]) -> str:
     """The tables of the page: counts of faults, then what each sort of file gives."""
-    columns = [entry for entry in ("before", "now") if entry in told]
+    columns = [entry for entry in ("before", "now", "added") if entry in told]
     lines = ["## Results", "", f"| | {' | '.join(str(told[entry]['tree']) for entry in columns)} |"]
     lines.append("| --- |" + " ---: |" * len(columns))
     keys = ["files", "runs", "files with a fault", *(f"{fault}, runs" for fault in FAULTS)]

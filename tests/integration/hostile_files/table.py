@@ -28,7 +28,9 @@ from tests.integration.hostile_files import (
     images,
     keys,
     robots,
+    scenes,
     sessions,
+    slicer_files,
     stamps,
     streams,
 )
@@ -41,6 +43,8 @@ CASES: tuple[Hostile, ...] = (
     *foreign.CASES,
     *bags.CASES,
     *images.CASES,
+    *scenes.CASES,
+    *slicer_files.CASES,
     *streams.CASES,
     *robots.CASES,
     *keys.CASES,
