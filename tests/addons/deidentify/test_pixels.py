@@ -13,8 +13,15 @@ import pytest
 from igtl_gateway.addons.deidentify.context import Context, Removed
 from igtl_gateway.addons.deidentify.masks import Fan, Mask, Rectangle, hidden
 from igtl_gateway.addons.deidentify.messages import MessageCleaner
-from igtl_gateway.addons.deidentify.pixels import without_h264_messages, without_jpeg_texts, without_png_texts
+from igtl_gateway.addons.deidentify.pixels import (
+    PixelCleaner,
+    without_av1_metadata,
+    without_h264_messages,
+    without_jpeg_texts,
+    without_png_texts,
+)
 from igtl_gateway.addons.deidentify.profile import Profile
+from igtl_gateway.addons.deidentify.report import Report
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.image import BIG_ENDIAN, SCALARS, Image
 from igtl_gateway.wire.video import Video
@@ -127,6 +134,77 @@ def test_pictures_are_masked_and_lose_their_text(kind: str) -> None:
     picture = shown(name, [new])[0]
     assert abs(picture[:12, :20] - 7).max() < 12
     assert abs(picture[32:, 40:] - gradient()[32:, 40:]).mean() < 4
+
+
+#: Form → kinds of units that a decoder needs, of all kinds that the head of a unit can have.
+UNITS = {
+    "h264": (32, {1, 2, 3, 4, 5, 7, 8, 9, 10, 11, 13, 14, 15, 19, 20}),
+    "h265": (64, {*range(10), *range(16, 22), *range(32, 38)}),
+    "av1": (16, {1, 2, 3, 4, 6, 7}),
+}
+
+
+@pytest.mark.parametrize("form", UNITS)
+def test_which_units_of_video_stay(form: str) -> None:
+    count, needed = UNITS[form]
+    for kind in range(count):
+        if form == "av1":
+            unit, other = bytes([kind << 3 | 2, 2, 9, 9]), bytes([1 << 3 | 2, 0])
+        else:
+            head = kind << (form == "h265")
+            unit, other = b"\0\0\0\1" + bytes([head, 9, 9]), b"\0\0\0\1" + bytes([1 << (form == "h265"), 7])
+        found = PixelCleaner(Profile(), Report()).compressed(form, other + unit + other, "/camera")
+        assert found == (other + unit + other if kind in needed else other + other), kind
+
+
+@pytest.mark.parametrize("size", [0, 1, 126, 127, 128, 129, 255, 256, 16_383, 16_384, 16_385])
+def test_units_of_av1_have_any_size(size: int) -> None:
+    number, rest = bytearray(), size
+    while rest > 127:
+        number.append(rest & 127 | 128)
+        rest >>= 7
+    unit = bytes([1 << 3 | 2, *number, rest]) + bytes(size)
+    text = bytes([5 << 3 | 2, 3]) + b"abc"
+    assert without_av1_metadata(unit + text + unit) == unit + unit
+    for bad in (unit + text[:-1], unit + bytes([1 << 3, 0]), unit + bytes([1 << 3 | 2, *[128] * 8, 0])):
+        with pytest.raises((ValueError, IndexError)):
+            without_av1_metadata(bad)
+
+
+#: A segment of JPEG: marker, content → what stays of it (marker and size before it), None: nothing.
+SEGMENTS = {
+    "tables": (0xDB, bytes(range(9)), bytes(range(9))),
+    "Huffman": (0xC4, b"x" * 5, b"x" * 5),
+    "restarts": (0xDD, b"xy", b"xy"),
+    **{
+        f"frame {marker:X}": (marker, b"frame", b"frame") for marker in (0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC7, 0xC9, 0xCB)
+    },
+    "comment": (0xFE, TEXT, None),
+    "EXIF": (0xE1, b"Exif\0\0" + TEXT, None),
+    **{f"APP{number}": (0xE0 + number, TEXT, None) for number in (2, 3, 12, 13, 15)},
+    "JFIF": (0xE0, b"JFIF\0\1\2\1\0\3\0\4\5\6" + TEXT, b"JFIF\0\1\2\1\0\3\0\4\0\0"),
+    "JFIF alone": (0xE0, b"JFIF\0\1\2\1\0\3\0\4\0\0", b"JFIF\0\1\2\1\0\3\0\4\0\0"),
+    "JFIF that is cut off": (0xE0, b"JFIF\0\1\2\1\0\3\0\4\0", None),
+    "JFXX": (0xE0, b"JFXX\0" + TEXT * 2, None),
+    "Adobe": (0xEE, b"Adobe\0\x64\1\2\3\4\2" + TEXT, b"Adobe\0\x64\1\2\3\4\2"),
+    "Adobe alone": (0xEE, b"Adobe\0\x64\1\2\3\4\2", b"Adobe\0\x64\1\2\3\4\2"),
+    "Adobe that is cut off": (0xEE, b"Adobe\0\x64\1\2\3\4", None),
+    "another APP14": (0xEE, b"Ducky\0" + TEXT, None),
+}
+
+
+@pytest.mark.parametrize("name", SEGMENTS)
+def test_which_segments_of_a_jpeg_stay(name: str) -> None:
+    def segment(marker: int, content: bytes) -> bytes:
+        return bytes([0xFF, marker]) + struct.pack(">H", 2 + len(content)) + content
+
+    marker, content, stays = SEGMENTS[name]
+    scan = segment(0xDA, b"\1\1\0\0\x3f\0") + b"\x12\xff\x00\x34\xff\xd3\x56"
+    expected = b"\xff\xd8" + (b"" if stays is None else segment(marker, stays)) + scan + b"\xff\xd9"
+    assert without_jpeg_texts(b"\xff\xd8" + segment(marker, content) + scan + b"\xff\xd9" + TEXT) == expected
+    assert without_jpeg_texts(b"\xff\xd8\xff" + segment(marker, content) + scan + b"\xff\xd9") == expected, "filled"
+    with pytest.raises((ValueError, IndexError, struct.error)):
+        without_jpeg_texts(b"\xff\xd8\0" + segment(marker, content) + scan + b"\xff\xd9")
 
 
 def test_messages_in_h264_are_removed() -> None:

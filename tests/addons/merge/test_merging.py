@@ -20,6 +20,8 @@ from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError
 from igtl_gateway.convert.common_msgs import FrameTransform, PoseStamped, TFMessage
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.record.sessionfile import merged
 from igtl_gateway.record.sessionfile.merged import Digest, Method
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
@@ -117,6 +119,35 @@ def _content(path: Path) -> tuple[Any, ...]:
             if schema
         ]
         return messages, list(file.attachments()), file.recorded_session, file.recorded_ledger, list(file.entries())
+
+
+def test_numbers_of_a_part_in_several_attachments(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(merged, "NUMBERS", 7)
+    recordings = record(replace(WORLD, seconds=1), tmp_path, 1)
+    out = tmp_path / "merged.mcap"
+    merge(recordings.sources, out, given={})
+    for source in recordings.sources:
+        assert _content(out / source.name) == _content(source.path)
+
+
+def test_warnings_of_a_part_have_a_bound(tmp_path: Path) -> None:
+    source = crossing(tmp_path, ROS, ("/t", "/t"), 24)[0]
+    writer = SessionWriter(source.path, {}, overwrite=True)
+    seq = 0
+    for number in range(103):
+        for _ in range(2 if number == 5 else 1):
+            seq += 1
+            note = Note(Level.WARN, f"code_{number}", f"text {number}", "/t" if number % 2 else "")
+            writer.write(Entry(seq, 1_700_000_000 * 10**9 + seq, Kind.NOTE, payload=(note.pack(),)))
+    info = Note(Level.INFO, "quiet", "no warning")
+    writer.write(Entry(seq + 1, 1_700_000_000 * 10**9 + seq + 1, Kind.NOTE, payload=(info.pack(),)))
+    writer.close({})
+    two = Source("two", FIXTURES / "crtk.mcap")
+    reported = merge([source, two], tmp_path / "out.mcap", given={"two": AHEAD["r1"]})["reported"]
+    lines = [line for line in reported if line.startswith("a: ")]
+    assert len(lines) == 101
+    assert (lines[0], lines[-1]) == ("a: /t, 2 times: text 5", "a: 3 more, as `info` of the part states them")
+    assert "a: code_0: text 0" in lines and "a: /t: text 1" in lines
 
 
 def test_merged_sessions_are_merged_again(tmp_path: Path) -> None:

@@ -72,6 +72,12 @@ def test_wrong_options(
     assert not out.exists()
 
 
+def test_the_output_is_required(two: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["merge", *two])
+    assert end.value.code == 2 and "-o" in capsys.readouterr().err
+
+
 def test_wrong_files(two: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "b=c.mcap"
     shutil.copy(two[0], out)

@@ -119,6 +119,7 @@ def running_store() -> Iterator[Store]:
         def _handle(self) -> None:
             body = self.rfile.read(int(self.headers.get("content-length", "0")))
             headers = {name.lower(): value for name, value in self.headers.items()}
+            assert len(headers) == len(self.headers.items()) and "accept-encoding" not in headers
             status, more, data = store.answer(self.command, self.path, headers, body)
             self.send_response(status)
             for name, value in ({"content-length": str(len(data))} | more).items():

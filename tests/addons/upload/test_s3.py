@@ -260,6 +260,44 @@ def test_what_is_sent_is_counted_and_in_its_place(store: Store) -> None:
     assert len(sent) == 3, "the list of parts is no content"
 
 
+@table(
+    ("url", "host"),
+    [
+        ("http://localhost:80", "localhost"),
+        ("http://localhost:443", "localhost:443"),
+        ("https://a.example", "a.example"),
+        ("https://a.example:443", "a.example"),
+        ("https://a.example:80", "a.example:80"),
+    ],
+)
+def test_the_usual_port_is_not_in_the_host(url: str, host: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("AWS_ENDPOINT_URL", url)
+    headers = opened()._signed(
+        s3._Keys("key", SECRET, "", "us-east-1"), "GET", "/bucket/a", "", s3._EMPTY, {"range": "x"}
+    )
+    assert (headers["host"], headers["x-amz-date"]) == (host, "20130524T000000Z")
+    assert "x-amz-security-token" not in headers
+    assert "SignedHeaders=host;range;x-amz-content-sha256;x-amz-date" in headers["authorization"]
+    assert "Credential=key/20130524/us-east-1/s3/aws4_request" in headers["authorization"]
+    token = opened()._signed(s3._Keys("key", SECRET, "t", "us-east-1"), "GET", "/bucket/a", "", s3._EMPTY, {})
+    assert token["x-amz-security-token"] == "t" and ";x-amz-security-token" in token["authorization"]
+
+
+def test_a_connection_is_kept_until_it_is_closed(store: Store) -> None:
+    found = opened()
+    found.find("or1/a")
+    connection = found._connection
+    assert connection and connection.sock
+    found.find("or1/b")
+    assert found._connection is connection, "one for all requests"
+    found.close()
+    assert [connection.sock, found._connection] == [None, None]
+    store.fault = lambda *_: (200, {"connection": "close", "content-length": "0"}, b"")
+    found.find("or1/a")
+    assert found._connection is None
+    assert (StoreError("x").status, StoreError("x").code) == (0, "")
+
+
 def test_a_part_list_that_repeats_itself_ends(store: Store) -> None:
     row = "<Part><PartNumber>3</PartNumber><ETag>&quot;t&quot;</ETag><Size>9</Size></Part>"
     bad = (

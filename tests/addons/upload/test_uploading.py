@@ -160,6 +160,15 @@ def test_a_store_that_refuses_is_reported_once(
     assert len(left) == 6 and len(notes) == 1 and words in notes[0].text and SECRET not in notes[0].text
 
 
+def test_the_first_problem_of_the_store_ends_a_step(store: Store, folder: Path) -> None:
+    store.fault = _denied
+    uploader = Uploader(folder, None, PLACE, 0.0, SystemClock(), lambda _note: None)
+    assert not uploader.step()
+    assert len({path for _, path, _ in store.requests}) == 1, "the other files wait as well"
+    assert (uploader.counts.waiting, uploader.counts.confirmed) == (6, 0) and "access denied" in uploader.counts.problem
+    uploader.close()
+
+
 def test_a_store_that_states_other_bytes_is_not_trusted(store: Store, folder: Path) -> None:
     def fault(method: str, path: str, _query: dict[str, str]) -> tuple[int, dict[str, str], bytes] | None:
         if method != "HEAD" or "small" not in path or "or1/small.mcap" not in store.objects:
