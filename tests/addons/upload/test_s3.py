@@ -291,7 +291,8 @@ def test_a_connection_is_kept_until_it_is_closed(store: Store) -> None:
     found.find("or1/b")
     assert found._connection is connection, "one for all requests"
     found.close()
-    assert [connection.sock, found._connection] == [None, None]
+    closed: list[object] = [connection.sock, found._connection]
+    assert closed == [None, None]
     store.fault = lambda *_: (200, {"connection": "close", "content-length": "0"}, b"")
     found.find("or1/a")
     assert found._connection is None
