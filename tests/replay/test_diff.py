@@ -189,3 +189,11 @@ def test_memory_holds_a_window_of_each_stream() -> None:
     report = diff(DiffInput(made("one"), decoder), DiffInput(made("two"), decoder))
     assert report.streams[0].different == 7_999
     assert most < 3 * WINDOW
+
+
+@pytest.mark.parametrize(("off_ns", "restamped"), [(1_000, 0), (-1_000, 0), (1_001, 1), (-1_001, 1)])
+def test_the_rounding_of_a_stamp_is_no_difference(off_ns: int, restamped: int) -> None:
+    """A stamp of 32.32 bits that became one of ROS, or went there and back."""
+    tools = list(filter(tool, star()[0]))
+    later = [shifted(entry, 5_000_000 + off_ns * (number == 40)) for number, entry in enumerate(tools)]
+    assert stream(compared(tools, later), TOOL).restamped == restamped
