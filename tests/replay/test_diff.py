@@ -197,3 +197,17 @@ def test_the_rounding_of_a_stamp_is_no_difference(off_ns: int, restamped: int) -
     tools = list(filter(tool, star()[0]))
     later = [shifted(entry, 5_000_000 + off_ns * (number == 40)) for number, entry in enumerate(tools)]
     assert stream(compared(tools, later), TOOL).restamped == restamped
+
+
+def test_of_equal_deviations_the_first_is_named() -> None:
+    given = list(filter(tool, star()[0]))[:6]
+    pose = TransformStamped.unpack(given[0].data())
+    turned = replace(pose, translation=(0.0, 0.0, 0.25), rotation=(0.0, 0.0, 0.6, 0.8))
+    pose = replace(pose, translation=(0.0, 0.0, 0.0), rotation=(0.0, 0.0, 0.0, 1.0))
+
+    def of(*moved: int) -> list[Entry]:
+        return [replace(entry, payload=((turned if at in moved else pose).pack(),)) for at, entry in enumerate(given)]
+
+    told = stream(compared(of(), of(2, 4), tolerance=Tolerance(mm=1000, deg=100)), TOOL)
+    assert (told.mm, told.mm_at, told.deg_at, told.within) == (250.0, 3, 3, 2)
+    assert told.deg == pytest.approx(73.74, abs=0.01)

@@ -170,3 +170,19 @@ def test_groups_are_inputs_with_all_that_follows() -> None:
     assert sum(1 + len(group.outputs) for group in found) == len(entries)
     assert sum(group.extent for group in found) == entries[-1].seq
     assert list(input_groups(entries[1:2])) == []
+
+
+#: Size of an input of the prologue, and whether another one of its stream follows → whether it stays.
+@table(
+    ("size", "followed", "stays"),
+    [(100_000, True, False), (100_000, False, True), (100, True, True), (100, False, True)],
+)
+def test_a_prologue_loses_pictures_that_others_follow(size: int, followed: bool, stays: bool) -> None:
+    def picture(seq: int, stamp_ns: int) -> Entry:
+        return Entry(seq, stamp_ns, Kind.ROS_IN, "/topic", "std_msgs/msg/String", (bytes(size),))
+
+    inputs = [picture(1, 2_000)] if followed else []
+    inputs.append(replace(picture(2, 5_000), channel="/other"))
+    part = Slice(lambda: inputs, Config(), SliceWindow(4_000, 6_000), before=[picture(1, 1_000)])
+    assert len(list(part.entries())) >= 1
+    assert [entry.stamp_ns for entry in part.before()] == [1_000] * stays

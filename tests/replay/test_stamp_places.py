@@ -127,3 +127,14 @@ def test_what_cannot_be_walked_past_matters_only_before_a_stamp() -> None:
 
 def test_definitions_of_ours_are_where_they_are_looked_for() -> None:
     assert any((share / "igtl_msgs" / "msg" / "Note.msg").is_file() for share in SHARES)
+
+
+def test_all_times_of_a_message_whatever_their_names() -> None:
+    """As a bag of ROS 1 needs it: other structures and durations are no times."""
+    text = (
+        "builtin_interfaces/Time when\nbuiltin_interfaces/Duration last\nstd_msgs/Header header\n"
+        "builtin_interfaces/Time[2] pair\ngeometry_msgs/Point at"
+    )
+    definitions, data = {"a/msg/A": text}, b"\0\1\0\0" + bytes(100)
+    assert StampPlaces(definitions, all_times=True).of("a/msg/A", data) == [4, 20, 32, 40]
+    assert StampPlaces(definitions).of("a/msg/A", data) == [20]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from io import BytesIO
@@ -386,3 +387,25 @@ def test_notes_are_compared_by_code_not_by_wording(entries: list[Entry]) -> None
     assert verify(changed(entries, where, lambda d: d.replace(b"goes", b"flows")), SCENARIO.config).good
     report = verify(changed(entries, where, lambda d: d.replace(b'"code":"', b'"code":"un', 1)), SCENARIO.config)
     assert report.differences[0].field == "note.code"
+
+
+def test_a_declared_loss_of_a_stream_is_used_once(entries: list[Entry]) -> None:
+    counts = Counter(entry.channel for entry in entries if entry.kind is Kind.ROS_OUT)
+    (stream, number), *_ = counts.most_common(1)
+    assert number > 1
+    cut, gone = without(entries, lambda entry: is_out(entry, stream))
+    cut, _ = without(cut, lambda entry: is_out(entry, stream))
+    assert verify(cut, SCENARIO.config, DeclaredLosses(2, {stream: 2})).lost == 2
+    report = verify(cut, SCENARIO.config, DeclaredLosses(2, {gone.channel: 1}))
+    assert (report.lost, report.differing) == (1, 1)
+
+
+def test_a_part_may_begin_behind_one_lost_input(entries: list[Entry]) -> None:
+    """Its first outputs are those of an input that the recorder lost; without a declared loss they are of nothing."""
+    begin = next(at for at in range(20, len(entries)) if not entries[at].kind.is_input)
+    end = next(at for at in range(begin, len(entries)) if entries[at].kind.is_input)
+    part = entries[begin:end]
+    assert part
+    report = verify(part, SCENARIO.config, DeclaredLosses(1, {"(others)": 1}, midway=True), before=entries[:1])
+    assert report.orphans == len(part) and report.good
+    assert not verify(part, SCENARIO.config, DeclaredLosses(midway=True), before=entries[:1]).good

@@ -207,6 +207,13 @@ def test_which_segments_of_a_jpeg_stay(name: str) -> None:
         without_jpeg_texts(b"\xff\xd8\0" + segment(marker, content) + scan + b"\xff\xd9")
 
 
+def test_a_chunk_of_a_png_that_is_cut_off_is_damage() -> None:
+    whole = b"\x89PNG\r\n\x1a\n" + struct.pack(">I4s", 0, b"IEND") + struct.pack(">I", zlib.crc32(b"IEND"))
+    assert without_png_texts(whole + TEXT) == whole
+    with pytest.raises(ValueError, match="no end"):
+        without_png_texts(b"\x89PNG\r\n\x1a\n" + struct.pack(">I4s", 5, b"IEND") + b"ab")
+
+
 def test_messages_in_h264_are_removed() -> None:
     start = b"\x00\x00\x00\x01"
     units = (b"\x67\x42\x1e", b"\x06\x05" + TEXT + b"\x80", b"\x65\x88\x84")

@@ -1,0 +1,46 @@
+"""States of robots as words, and what a game pad or a list of numbers becomes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.convert import robots
+from igtl_gateway.convert.common_msgs import Joy, OperatingState
+from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
+from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.wire.sensor import MAX_VALUES, Sensor
+from igtl_gateway.wire.text import String
+from tests.tables import table
+
+TO = ToRosContext("arm", 5, "base", "tool")
+
+#: Text → state, homed, busy.
+STATES = {
+    "ENABLED": ("ENABLED", False, False),
+    "ENABLED homed": ("ENABLED", True, False),
+    "ENABLED busy": ("ENABLED", False, True),
+    "PAUSED homed busy": ("PAUSED", True, True),
+    "homed": ("homed", False, False),
+    "": ("", False, False),
+}
+
+
+@table("text", STATES)
+def test_states_are_words(text: str) -> None:
+    found = robots.string_to_state(String.of(text), TO)
+    assert found == OperatingState(Header(5, "base"), *STATES[text])
+    back = robots.state_to_string(found, ToIgtlContext())
+    assert isinstance(back.content, String)
+    assert (back.content.text, back.stamp_ns, back.frame_id) == (text, 5, "base")
+
+
+def test_buttons_are_values_up_to_those_of_a_sensor() -> None:
+    joy = Joy(Header(7, "pad"), np.zeros(0, np.float32), np.arange(MAX_VALUES, dtype=np.int32))
+    found = robots.joy_to_sensor(joy, ToIgtlContext())
+    assert isinstance(found.content, Sensor)
+    assert (found.content.values.tolist(), found.stamp_ns) == (list(range(MAX_VALUES)), 7)
+    more = Joy(Header(7, "pad"), np.zeros(0, np.float32), np.arange(MAX_VALUES + 1, dtype=np.int32))
+    with pytest.raises(ConversionError, match=f"found {MAX_VALUES + 1} buttons, expected at most {MAX_VALUES}"):
+        robots.joy_to_sensor(more, ToIgtlContext())
