@@ -366,6 +366,8 @@ def judge(mutant: Mutant, known: dict[str, Any], number: int) -> tuple[str, str]
         return _UNRUN, ""
     target, verdict = TREE / PACKAGE / mutant.path, WORK / "verdict.txt"
     source = (ROOT / PACKAGE / mutant.path).read_bytes()
+    if source[mutant.start : mutant.end].decode(errors="replace") != mutant.old:
+        raise SystemExit(f"{mutant.path} has changed since the draw: start again")
     verdict.unlink(missing_ok=True)
     files = sorted({one.partition("::")[0] for one in ids})
     total = sum(known[mutant.folder]["seconds"][one] for one in ids)
