@@ -293,6 +293,7 @@ UNMIRRORED = (
     "test_fuzz_files.py",  # tools/fuzz_files.py
     "test_fuzz_values.py",  # tools/fuzz_values.py
     "test_truth.py",  # tools/truth
+    "test_mutants.py",  # tools/mutants.py
     "test_gateway_fuzz.py",
     "test_ros_package.py",  # ros2/igtl_gateway_ros
     "test_notebooks.py",  # docs/notebooks

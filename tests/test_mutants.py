@@ -9,7 +9,7 @@ import pytest
 from tests.tables import table
 from tools import mutants
 
-SOURCE = '''"""A text of 5."""
+SOURCE = '''"""Of 5."""
 LIMIT = 5
 
 
@@ -48,7 +48,7 @@ def test_a_change_of_each_kind(change: tuple[int, str, str]) -> None:
 
 def test_texts_annotations_and_assertions_are_left_out() -> None:
     assert {line for line, _, _ in changes(SOURCE)} == {2, 5, 10, 11, 12, 13, 14, 15, 16}
-    assert (14, "1", "2") not in changes(SOURCE), "a text of an error"
+    assert (14, "1", "2") not in changes(SOURCE), "the words of an error"
 
 
 def test_each_mutant_is_a_program_with_one_change() -> None:

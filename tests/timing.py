@@ -1,7 +1,7 @@
 """Bounds of time in tests: the only place that has them in seconds.
 
-What a test forbids takes minutes, or has no end; what it wants takes less than a second on a quiet machine.  The bounds
-lie so far between that a machine with ten times its work does not reach them: no verdict depends on the load.
+What a test forbids takes minutes, or has no end; what it asks for takes less than a second on a quiet machine.  The
+bounds lie so far between that a machine with ten times its work does not reach them: no verdict depends on the load.
 """
 
 from __future__ import annotations

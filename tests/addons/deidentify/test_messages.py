@@ -46,14 +46,14 @@ from tests.tables import table
 
 SECOND = 1_000_000_000
 KEY, SHIFT_S = bytes(range(32)), -864_000
-#: Ticks of a date with a fraction that must stay to the bit, of that date moved, and of a time that is no date.
+#: Ticks of a date with a fraction that must stay to the bit, of that date moved, and of a time since a start.
 DATE, MOVED, UPTIME = (1_600_000_000 << 32) | 0x12345678, ((1_600_000_000 + SHIFT_S) << 32) | 0x12345678, 77 << 32
 NAME = "Qx7Kmvz3"
 
 NAMED, TEXT, WORD, EMPTY, IDENTIFIER, TIME, ZERO, STAYS = (
     "pseudonym", "removed", "a word of DICOM stays", "empty", "identifier", "moved", "zero", "stays"
 )  # fmt: skip
-#: What becomes of each field, by its name, in all lists.
+#: What each field is afterwards, by its name, in all lists.
 FIELDS = {
     "name": NAMED, "device_name": NAMED, "owner": NAMED, "group": TEXT, "modality": WORD, "patient_name": EMPTY,
     "patient_id": IDENTIFIER, "ticks": TIME, "reserved": ZERO,
@@ -126,7 +126,7 @@ def test_each_field_of_each_list_has_a_rule(kind: str) -> None:
         assert (context.report.rules[rule] > (rule == "name")) == (fate in fates), rule  # the device has a name, too
 
 
-def test_the_time_of_a_scan_is_moved_and_what_is_no_date_stays() -> None:
+def test_the_time_of_a_scan_is_moved_and_what_is_unset_stays() -> None:
     """The stamps inside IMGMETA are dates of a patient."""
     codec = LISTS["IMGMETA"]
     elements = np.zeros(4, codec.DTYPE)

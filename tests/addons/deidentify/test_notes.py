@@ -40,7 +40,7 @@ FACTS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
         dict.fromkeys("partner sent_messages received_bytes count step_ns jump_ns ahead_ns".split(), -7)
         | {"dropped_messages": 9.5, "dropped": 11},
     ),
-    "numbers that are none": ({"dropped_messages": True, "dropped": {NAME: 3}, "partner": [3]}, {}),
+    "numbers of another kind": ({"dropped_messages": True, "dropped": {NAME: 3}, "partner": [3]}, {}),
     "other facts": ({"reason": NAME, "who": NAME, NAME: {NAME: 1}, "path": NAME}, {}),
     "device": ({"device": NAME}, {"device": context_of().names.name(NAME)}),
     "orders": (
@@ -49,13 +49,13 @@ FACTS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
         {"orders": {"0": ["command_late", "command late"], "12": ["other", "other"], "1": ["other", "other"],
                     "2": ["other", "other"], "3": ["other", "other"]}},
     ),
-    "orders that are none": ({"orders": [NAME]}, {}),
+    "orders in a list": ({"orders": [NAME]}, {}),
     "settings": (
         {"settings": {"deny_in": ["IMAGE", NAME, "*", 5], "deny_out": ["**", f"{NAME}*"], "max_age_s": 0.5,
                       "active": True, "operator": NAME}},
         {"settings": {"deny_in": ["IMAGE", "*"], "deny_out": ["**"], "max_age_s": 0.5, "active": True}},
     ),
-    "settings that are none": (
+    "settings of another kind": (
         {"settings": {"deny_in": NAME, "kinds": NAME, "max_age_s": NAME, "active": [True]}}, {"settings": {}}
     ),
     "kinds": ({"settings": {"kinds": ["+pose", "transform", NAME]}}, {"settings": {"kinds": ["+pose", "transform"]}}),
@@ -106,7 +106,7 @@ def test_the_stream_of_a_note_has_its_new_name(stream: str) -> None:
 
 
 def test_a_mark_has_pseudonyms_moved_times_and_the_text_that_the_profile_leaves() -> None:
-    mark = Mark("needle", f"{NAME} said so", NAME, DATE_NS, DATE_NS + 5)
+    mark = Mark("needle", f"{NAME} did so", NAME, DATE_NS, DATE_NS + 5)
     label, who = (context_of().names.name(each) for each in ("needle", NAME))
     assert clean_mark(mark, context_of()) == Mark(label, "", who, DATE_NS + SHIFT_NS, DATE_NS + SHIFT_NS + 5)
     kept = Profile(keep_names=("needle",), text_rules=(TextRule("mark/needle", "replace", "so"),))

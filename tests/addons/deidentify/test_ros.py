@@ -127,7 +127,7 @@ def _times(message: Any, ros_type: str) -> Iterator[Any]:
 
 
 def test_each_time_of_each_type_is_moved() -> None:
-    """In headers, in elements of lists and in parts of parts; times that are no dates stay."""
+    """In headers, in elements of lists and in parts of parts; times since a start stay."""
     moved = 0
     for ros_type in sorted(name for name in STORE.fielddefs if "/msg/" in name):
         message = planted_message(STORE, ros_type)
