@@ -333,7 +333,6 @@ def _run_once(
     one: Run,
     on_roles: Callable[[Roles], None],
 ) -> None:
-    is_swapped = options.timers_first or (options.swap_ties and one.number % 2 == 0)
     clock = SystemClock()
     began_ns = clock.monotonic_ns()
 
@@ -349,64 +348,23 @@ def _run_once(
         outputs = OutputFile(one.outputs, recording.name, overwrite=True)
         stack.callback(outputs.close)
         one.start_ns, one.end_ns = file.start_ns, min(file.end_ns, options.until_ns)
-        begin_ns = one.start_ns - options.lead_ns
         place = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="igtl-resim-")))
         listener = Listener(place)
         stack.callback(listener.close)
         processes: list[Process] = []
         stack.callback(end_all, processes, listener.path)
         watch = _Watch(processes, listener, clock, options, library, look_for_signals)
+        joining = _Joining(stack, watch, processes, listener, library, replaced, options, one)
         coordinator: Coordinator | None = None
         try:
-            peers = []
-            for index, program in enumerate(programs):
-                env = {**os.environ, **program.env, "IGTL_GATEWAY_RESIM": str(listener.path), **_ENVIRONMENT}
-                env["LD_PRELOAD"] = " ".join(filter(None, [str(library), env.get("LD_PRELOAD", "")]))
-                side = IgtlSide(program.igtl, program.title) if program.igtl else None
-                command = program.command
-                if side:
-                    stack.callback(side.close)
-                    env |= side.environment
-                    command = side.command(command)
-                process = Process(program.title, command, env, program.folder)
-                processes.append(process)
-                watch.begin()
-                watch.is_joining = True
-                watch.side = side
-                link = listener.accept(watch.look)
-                stack.callback(link.close)
-                hello = link.receive()
-                if not isinstance(hello, Hello) or hello.abi != ABI_VERSION:
-                    version = hello.abi if isinstance(hello, Hello) else "unknown"
-                    wrong = f"found {library.name} of version {version}, expected {ABI_VERSION}"
-                    raise ProgramFault(f"resim: {wrong}: install igtl-gateway again, which compiles it")
-                watch.check_family(hello.pid)
-                process.joined(hello.pid)
-                watch.is_joining = False
-                shift_ns = (one.number - 1) * WALL_STEP_NS if options.clocks is Clocks.SHIFTED and not side else 0
-                is_real = options.clocks is Clocks.REAL
-                link.send(
-                    welcome(
-                        begin_ns,
-                        options.latency_ns,
-                        shift_ns,
-                        index,
-                        is_real=is_real,
-                        deadline_class=INPUT if is_swapped else DEADLINE,
-                    )
-                )
-                if side:
-                    watch.remarks.add(f"{program.title}: {WEAKER}")
-                    igtl = IgtlLink(program.title, side, link, replaced[index], begin_ns, watch.take)
-                    stack.callback(igtl.close)
-                peers.append(Peer(index, program.title, igtl if side else link))
+            peers = [joining.join(index, program) for index, program in enumerate(programs)]
             coordinator = Coordinator(
                 peers,
                 Inputs(file, {each.number for each in replaced.values()}),
                 topics_of(file) | {name: topic for each in replaced.values() for name, topic in each.topics().items()},
                 recorded_services(file),
                 outputs,
-                start_ns=begin_ns,
+                start_ns=joining.begin_ns,
                 end_ns=one.end_ns,
                 latency_ns=options.latency_ns,
                 is_input=lambda topic: _chosen(topic, options),
@@ -414,17 +372,13 @@ def _run_once(
                 on_event=watch.begin,
                 on_remark=watch.take,
                 most_outputs=options.most_outputs,
-                input_class=DEADLINE if is_swapped else INPUT,
+                input_class=DEADLINE if joining.is_swapped else INPUT,
             )
             coordinator.run()
             watch.look_at_libraries()
             watch.await_others()
         except (ProgramFault, Gone) as fault:
-            one.fault = str(fault)
-            if isinstance(fault, Gone) or fault.is_end:
-                one.fault = watch.ended(wait=True) or watch.replaced() or one.fault or "a program closed its connection"
-            if not one.start_s and one.fault.endswith(ENDED_WELL):
-                one.fault += " before the session began: does it spin?"
+            one.fault = _text_of(fault, watch, one)
         finally:
             if coordinator:
                 coordinator.take_rest()
@@ -432,14 +386,99 @@ def _run_once(
                 one.end_ns = max(one.start_ns, coordinator.reached_ns if coordinator else 0)
             if coordinator:
                 coordinator.end()
-                one.lost = sorted(coordinator.lost.values(), key=lambda each: each.first_ns)
-                one.delivered, one.unserved = dict(coordinator.delivered), dict(coordinator.unserved)
-                one.refused, one.events = dict(coordinator.refused), coordinator.events
-                one.named = frozenset(coordinator.named)
+                _take_results(one, coordinator)
             one.remarks = sorted(watch.remarks)
             outputs.close()
             one.streams = outputs.streams
             one.seconds = (clock.monotonic_ns() - began_ns) / 1e9
+
+
+def _text_of(fault: ProgramFault | Gone, watch: _Watch, one: Run) -> str:
+    """What ended a run, as one line."""
+    text = str(fault)
+    if isinstance(fault, Gone) or fault.is_end:
+        text = watch.ended(wait=True) or watch.replaced() or text or "a program closed its connection"
+    if not one.start_s and text.endswith(ENDED_WELL):
+        text += " before the session began: does it spin?"
+    return text
+
+
+def _take_results(one: Run, coordinator: Coordinator) -> None:
+    one.lost = sorted(coordinator.lost.values(), key=lambda each: each.first_ns)
+    one.delivered, one.unserved = dict(coordinator.delivered), dict(coordinator.unserved)
+    one.refused, one.events = dict(coordinator.refused), coordinator.events
+    one.named = frozenset(coordinator.named)
+
+
+@dataclass(frozen=True)
+class _Joining:
+    """How the programs of a run are started and connected, one after the other; ``stack`` ends what they leave."""
+
+    stack: ExitStack
+    watch: _Watch
+    processes: list[Process]
+    listener: Listener
+    library: Path
+    replaced: Mapping[int, RecordedLink]
+    options: ResimOptions
+    one: Run
+
+    @property
+    def begin_ns(self) -> int:
+        """When the programs begin, session time."""
+        return self.one.start_ns - self.options.lead_ns
+
+    @property
+    def is_swapped(self) -> bool:
+        """Whether timers come before messages at equal times."""
+        return self.options.timers_first or (self.options.swap_ties and self.one.number % 2 == 0)
+
+    def join(self, index: int, program: Program) -> Peer:
+        """Start a program, and wait until it has connected.
+
+        Raises ProgramFault or Gone.
+        """
+        env = {**os.environ, **program.env, "IGTL_GATEWAY_RESIM": str(self.listener.path), **_ENVIRONMENT}
+        env["LD_PRELOAD"] = " ".join(filter(None, [str(self.library), env.get("LD_PRELOAD", "")]))
+        side = IgtlSide(program.igtl, program.title) if program.igtl else None
+        command = program.command
+        if side:
+            self.stack.callback(side.close)
+            env |= side.environment
+            command = side.command(command)
+        watch = self.watch
+        process = Process(program.title, command, env, program.folder)
+        self.processes.append(process)
+        watch.begin()
+        watch.is_joining = True
+        watch.side = side
+        link = self.listener.accept(watch.look)
+        self.stack.callback(link.close)
+        hello = link.receive()
+        if not isinstance(hello, Hello) or hello.abi != ABI_VERSION:
+            version = hello.abi if isinstance(hello, Hello) else "unknown"
+            wrong = f"found {self.library.name} of version {version}, expected {ABI_VERSION}"
+            raise ProgramFault(f"resim: {wrong}: install igtl-gateway again, which compiles it")
+        watch.check_family(hello.pid)
+        process.joined(hello.pid)
+        watch.is_joining = False
+        is_shifted = self.options.clocks is Clocks.SHIFTED and not side
+        link.send(
+            welcome(
+                self.begin_ns,
+                self.options.latency_ns,
+                (self.one.number - 1) * WALL_STEP_NS if is_shifted else 0,
+                index,
+                is_real=self.options.clocks is Clocks.REAL,
+                deadline_class=INPUT if self.is_swapped else DEADLINE,
+            )
+        )
+        if not side:
+            return Peer(index, program.title, link)
+        watch.remarks.add(f"{program.title}: {WEAKER}")
+        igtl = IgtlLink(program.title, side, link, self.replaced[index], self.begin_ns, watch.take)
+        self.stack.callback(igtl.close)
+        return Peer(index, program.title, igtl)
 
 
 def _not_received(roles: Roles, options: ResimOptions) -> str:
