@@ -7,7 +7,7 @@ group ``igtl_gateway.verbs``.  ``docs/how-to/write-an-addon.md`` shows one, and 
 Here is what most add-ons need: errors, time, names.  The rest is in groups by purpose, a module each:
 
 ``reading``    Recordings: as the streams of the Python API, or as the entries of a session.
-``notes``      Codes of the notes in a session that add-ons act on, and texts for their reasons.
+``notes``      Codes of the notes in a session that add-ons act on, and words for their reasons.
 ``streams``    Streams of a recording as numbers: on one clock, and as poses, pictures, clouds and tables.
 ``writing``    New files: beside their place until they are whole; sessions, and sessions of several recorders.
 ``untrusted``  Files and text of others, read within limits; ROS messages by the definitions in a file.

@@ -1,4 +1,4 @@
-"""Codes of the notes in a session that add-ons act on, and texts for their reasons."""
+"""Codes of the notes in a session that add-ons act on, and words for their reasons."""
 
 from __future__ import annotations
 
