@@ -1,4 +1,4 @@
-"""What robots get in random worlds between the guard and the middleware; ``tools/robot_worlds.py`` has ten thousand."""
+"""What robots get in random worlds between the guard and the middleware; ``tools/evidence/robot_worlds.py`` has more."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections import Counter
 import pytest
 
 from tests.app.robot_world import judged
-from tools.robot_worlds import MUTATIONS
+from tools.evidence.robot_worlds import MUTATIONS
 
 #: Worlds of the gate; IGTL_GATEWAY_WORLDS=10000 has more.
 WORLDS = int(os.environ.get("IGTL_GATEWAY_WORLDS", "150"))

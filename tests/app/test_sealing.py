@@ -21,7 +21,7 @@ from igtl_gateway.record.sessionfile.seal_check import CHANGED, CUT, SEALED, UNS
 from igtl_gateway.record.sessionfile.side_file import write_side_file
 from tests.places import FIXTURES
 from tests.record import samples
-from tools.seal_kills import fault, killed
+from tools.evidence.seal_kills import fault, killed
 
 
 @pytest.fixture

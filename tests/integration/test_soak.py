@@ -1,4 +1,4 @@
-"""``python -m tools.soak``: 10 s of it, and that its judgement would notice.
+"""``python -m tools.evidence.soak``: 10 s of it, and that its judgement would notice.
 
 The hour is in docs/evidence/soak.md.  This has a tenth of the mixed load, because every test shares two cores with
 others; clients connect more often than in the hour.  ``IGTL_GATEWAY_SOAK_S`` makes it longer or shorter.
@@ -21,9 +21,9 @@ import pytest
 
 from tests.integration.bridge import SECOND_DOMAIN, environment
 from tests.tables import table
-from tools import soak_guests, soak_judge
-from tools.soak_findings import Found, Settings
-from tools.soak_judge import judge, trend
+from tools.evidence import soak_guests, soak_judge
+from tools.evidence.soak_findings import Found, Settings
+from tools.evidence.soak_judge import judge, trend
 
 #: How long; half of it is waiting.
 SECONDS = float(os.environ.get("IGTL_GATEWAY_SOAK_S", "10"))
@@ -35,7 +35,7 @@ GROWTH_MB = 20.0
 @pytest.mark.slow
 def test_load_with_guests_that_come_and_go(tmp_path: Path) -> None:
     words = ["--seconds", f"{SECONDS}", "--scale", f"{SCALE}", "--part-s", f"{SECONDS / 2}", "--guest-s", "1.5"]
-    command = [sys.executable, "-m", "tools.soak", *words, "--growth-mb", f"{GROWTH_MB}"]
+    command = [sys.executable, "-m", "tools.evidence.soak", *words, "--growth-mb", f"{GROWTH_MB}"]
     command += ["--folder", str(tmp_path / "soak")]
     env = environment(ROS_DOMAIN_ID=str(SECOND_DOMAIN), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
     faulthandler.cancel_dump_traceback_later()  # the suite's: this has a deadline of its own

@@ -37,7 +37,7 @@ from tests.record import samples
 from tests.record.test_parts import RULE, session, wait_until
 from tests.record.test_recorder import workers
 from tests.tables import table
-from tools.trigger_worlds import QUICK, run
+from tools.evidence.trigger_worlds import QUICK, run
 
 NS = 1_000_000_000
 

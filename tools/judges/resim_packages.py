@@ -19,8 +19,8 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from igtl_gateway.addons.resim.engine import Program
 from tests.addons.resim import sessions
 from tests.addons.resim.sessions import MS
+from tools.evidence.resim_runs import HEADER, Row, pairs, texts, transforms
 from tools.judges import cpp
-from tools.resim_runs import HEADER, Row, pairs, texts, transforms
 
 
 def exact_pairs(path: Path) -> Path:

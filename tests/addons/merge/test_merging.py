@@ -1,4 +1,4 @@
-"""Merged sessions against planted clocks (``tools/merge_worlds.py``), and their parts against the recordings."""
+"""Merged sessions against planted clocks (``tools/evidence/merge_worlds.py``), their parts against the recordings."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from igtl_gateway.record.sessionfile.writer import SessionWriter
 from tests.places import FIXTURES
 from tests.replay.test_state_before import parts
 from tests.tables import table
-from tools.merge_worlds import World, judge, record
+from tools.evidence.merge_worlds import World, judge, record
 
 WORLD = World(seconds=4)
 AHEAD = {"r1": ClockOffset(Method.GIVEN, (Piece(0, 1_700_000_000),))}

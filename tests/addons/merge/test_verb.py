@@ -21,7 +21,7 @@ from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.transform import Transform
 from tests.script import Script
-from tools.merge_worlds import START_NS, World, record
+from tools.evidence.merge_worlds import START_NS, World, record
 from tools.truth import wire
 
 

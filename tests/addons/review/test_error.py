@@ -1,6 +1,6 @@
 """The 95 % interval contains the true value in 95 of 100 cases, for five kinds of simulated cameras.
 
-``tools/review_coverage.py`` has more draws; its table is in docs/evidence/review.md.
+``tools/evidence/review_coverage.py`` has more draws; its table is in docs/evidence/review.md.
 """
 
 from __future__ import annotations

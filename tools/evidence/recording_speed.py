@@ -1,6 +1,6 @@
 """How fast Python reads recordings: a million poses, all of star, the last second of 2 GB; against rosbags and pandas.
 
-    .venv/bin/python tools/recording_speed.py [FOLDER]        needs 2.3 GB in FOLDER (default: a temporary folder)
+    .venv/bin/python tools/evidence/recording_speed.py [FOLDER]    needs 2.3 GB in FOLDER (default: a temporary folder)
 
 Prints seconds of wall clock and of CPU.  Numbers of both sides are compared with each other.
 """
@@ -31,7 +31,7 @@ from igtl_gateway.wire.transform import Transform
 
 START_NS = 1_767_225_600_000_000_000
 POSES = 1_000_000
-STAR = Path(__file__).parents[1] / "fixtures" / "star.mcap"
+STAR = Path(__file__).parents[2] / "fixtures" / "star.mcap"
 #: Header (stamp, "base"), child frame ("tool"), seven numbers: geometry_msgs/msg/TransformStamped in CDR.
 _STAMPED = struct.Struct("<4BiII5s3xI5s3x7d")
 

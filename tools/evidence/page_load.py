@@ -1,7 +1,8 @@
 """A bridge with 100 streams of 10 Hz, without and with the page: for ``bench --against``, so that both are in one run.
 
     igtl-gateway bench --case transform --direction igtl-to-ros --rate 500 --duration 8 --no-floor \\
-        --against "python -m tools.page_load none {port}" --against "python -m tools.page_load open {port} page.txt"
+        --against "python -m tools.evidence.page_load none {port}" \
+        --against "python -m tools.evidence.page_load open {port} page.txt"
 
 ``none``: without the page; ``open``: one browser; ``twenty``: 20, and one that never reads; ``killed``: its process is
 killed after ten seconds.  ``one_elsewhere``, ``twenty_elsewhere``: without the page, 1 and 20 browsers ask a program
@@ -76,7 +77,7 @@ def main(words: list[str]) -> int:
 
 
 def _role(*words: str) -> subprocess.Popen[bytes]:
-    return subprocess.Popen([sys.executable, "-m", "tools.page_load", *words], stdin=subprocess.PIPE)
+    return subprocess.Popen([sys.executable, "-m", "tools.evidence.page_load", *words], stdin=subprocess.PIPE)
 
 
 def _end_with_input() -> None:

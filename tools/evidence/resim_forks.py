@@ -1,4 +1,4 @@
-"""Runs of programs in Python that share the start of their interpreter, for `tools/resim_runs.py`.
+"""Runs of programs in Python that share the start of their interpreter, for `tools/evidence/resim_runs.py`.
 
 Most of the CPU time of a short run are imports.  Here one interpreter imports, with the library of resim loaded, and
 each program is a fork of it.  Hash seed and addresses in memory are those of this interpreter: a new one begins after

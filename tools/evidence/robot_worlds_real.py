@@ -1,4 +1,4 @@
-"""Worlds of what a robot gets over real DDS: ``python tools/robot_worlds_real.py --worlds 200``.
+"""Worlds of what a robot gets over real DDS: ``python tools/evidence/robot_worlds_real.py --worlds 200``.
 
 Strategy: one bridge without sockets (the real hub, core, guard and RosEdge), and in the same graph arms, robots and
 other nodes of rclpy, in contexts of their own.  Each world has an arm of its own.  Its robot subscribes early, late, or
@@ -25,7 +25,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from igtl_gateway.app.bridge_options import BridgeOptions
 from igtl_gateway.app.hub import Hub

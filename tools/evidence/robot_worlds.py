@@ -1,4 +1,4 @@
-"""Worlds of what a robot gets: ``python tools/robot_worlds.py --worlds 10000``.
+"""Worlds of what a robot gets: ``python tools/evidence/robot_worlds.py --worlds 10000``.
 
 Strategy: each seed is a world of ``tests/app/robot_world.py``, played recorded and not recorded.  Hub, core, guard and
 the publishing half of the edge (DDS with and without events of matches, Zenoh) are the real ones; below them is a
@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from igtl_gateway.app.ros_traffic import RosTraffic
 from igtl_gateway.edges.interface import publishers

@@ -12,8 +12,8 @@ from pathlib import Path
 from random import Random
 
 from igtl_gateway_lab.bench.cases import payload
-from tools.soak_findings import Found, Settings
-from tools.soak_load import PICTURE
+from tools.evidence.soak_findings import Found, Settings
+from tools.evidence.soak_load import PICTURE
 
 _GUEST = Path(__file__).with_name("soak_guest.py")
 

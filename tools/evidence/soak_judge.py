@@ -11,8 +11,8 @@ import numpy as np
 
 from igtl_gateway.gateway.log.ledger import gaps
 from igtl_gateway_lab.bench.plot import to_svg
-from tools.soak_findings import Check, Found, Sample, Settings
-from tools.soak_guests import MANNERS, MOST_GUESTS
+from tools.evidence.soak_findings import Check, Found, Sample, Settings
+from tools.evidence.soak_guests import MANNERS, MOST_GUESTS
 
 BACK = ("threads", "fds")
 #: Between two parts the recorder has a file less.

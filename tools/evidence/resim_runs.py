@@ -1,9 +1,9 @@
 """Counts the different outputs of many re-simulations: one row for each kind of program of tests/addons/resim/programs.
 
-``python tools/resim_runs.py`` runs each kind 1,000 times, in turns of 100, and prints the table after each turn of all.
+``python tools/evidence/resim_runs.py`` runs each kind 1,000 times, in turns of 100, and prints the table after each turn.
 The load is that of the machine beside the runs (mean of the last minute); start it beside work of your own, or with
 ``--load 4``, which keeps four processes busy.  ``--share 20`` lets 20 programs in Python share the start of their
-interpreter (`tools/resim_forks.py`).  Exit code 1 if any run differs or could not be judged.
+interpreter (`tools/evidence/resim_forks.py`).  Exit code 1 if any run differs or could not be judged.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from igtl_gateway.addons.resim import engine
 from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, Run, run
@@ -37,7 +37,7 @@ from tests.addons.resim import sessions, test_igtl_peer
 from tests.addons.resim.runs import PROGRAMS, compiled, program
 from tests.peers import reference
 from tests.places import FIXTURES
-from tools.resim_forks import Forked, Start
+from tools.evidence.resim_forks import Forked, Start
 
 #: Scenario → its ROS actors.
 SCENARIOS = {"ultrasound": "navigator", "lego": "lego_robot", "star": "star_sensors star_robot"}

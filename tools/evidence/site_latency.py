@@ -1,6 +1,6 @@
 """Two sites in two network namespaces, joined by a slow line: how late poses are while video saturates it.
 
-    python tools/site_latency.py [SECONDS]      (as root)
+    python tools/evidence/site_latency.py [SECONDS]      (as root)
 
 At each site are a router of Zenoh, a gateway that records, and a peer that sends poses; that of the operating room
 also sends pictures, more than the line carries.  Both gateways have the clock of this machine, so the true offset is 0.

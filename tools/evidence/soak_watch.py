@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway_lab.programs import ours
-from tools.soak_findings import Found, Sample, Settings, say
+from tools.evidence.soak_findings import Found, Sample, Settings, say
 
 _VERIFY_S = 3600.0
 _MB = 1e6

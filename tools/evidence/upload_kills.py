@@ -1,6 +1,6 @@
 """Kills uploads with SIGKILL at random moments, and compares the objects with the files, byte for byte.
 
-    python tools/upload_kills.py s3://BUCKET/PREFIX [--kills 50] [--seed 1]
+    python tools/evidence/upload_kills.py s3://BUCKET/PREFIX [--kills 50] [--seed 1]
 
 The store is that of ``AWS_ENDPOINT_URL``; the bucket has to exist.  It needs boto3 for the comparison: an independent
 client, in an environment of its own (``--python``), because it excludes versions of libraries that this project pins.

@@ -1,6 +1,6 @@
 """Recordings of several recorders with clocks that are known, and what ``merge`` makes of them.
 
-    python tools/merge_worlds.py [WORLDS]
+    python tools/evidence/merge_worlds.py [WORLDS]
 
 Prints how far the stated offsets are from the planted ones, how often the stated interval contains the truth, and
 how many messages are in the wrong order although they are further apart than the stated errors.

@@ -1,6 +1,6 @@
 """Soak test: a recording bridge under the mixed load, while peers connect and disconnect.
 
-    python -m tools.soak --seconds 3600 --folder /tmp/soak
+    python -m tools.evidence.soak --seconds 3600 --folder /tmp/soak
 
 Strategy: the programs of ``igtl-gateway bench`` are the permanent peers: a node that sends, a node that receives, and a
 client that does both; every message has a number, so losses are detected end to end.  Meanwhile short-lived peers
@@ -42,11 +42,11 @@ from igtl_gateway_lab.bench.figures import Transmission, latency
 from igtl_gateway_lab.bench.jobs import Job, JobStream
 from igtl_gateway_lab.bench.processes import BenchError, Program
 from igtl_gateway_lab.programs import Event, ours
-from tools.soak_findings import Found, Sample, Settings, say
-from tools.soak_guests import Guests
-from tools.soak_judge import BACK, PROCESSES, judge, picture, report, spare, words
-from tools.soak_load import know_payloads, streams
-from tools.soak_watch import Verifier, children, process, take
+from tools.evidence.soak_findings import Found, Sample, Settings, say
+from tools.evidence.soak_guests import Guests
+from tools.evidence.soak_judge import BACK, PROCESSES, judge, picture, report, spare, words
+from tools.evidence.soak_load import know_payloads, streams
+from tools.evidence.soak_watch import Verifier, children, process, take
 
 _START_S, _HEARD_S, _CALM_S = 180.0, 60.0, 90.0
 #: So long the recorder does nothing at the beginning, so that its queue has been as long as it gets.
@@ -59,7 +59,7 @@ def _parts(settings: Settings, direction: Direction) -> tuple[JobStream, ...]:
 
 
 def _program(stack: ExitStack, job: Job) -> Program:
-    command = [sys.executable, "-m", "tools.soak", "--program", job.to_json()]
+    command = [sys.executable, "-m", "tools.evidence.soak", "--program", job.to_json()]
     return stack.enter_context(Program(f"{job.side} {job.name}", command))
 
 

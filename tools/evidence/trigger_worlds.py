@@ -1,6 +1,6 @@
 """Random sessions with triggers of the black box, and the judge: every trigger has its windows, or a note why not.
 
-    .venv/bin/python tools/trigger_worlds.py --triggers 10000 --seed 1
+    .venv/bin/python tools/evidence/trigger_worlds.py --triggers 10000 --seed 1
 
 A world is a session of some seconds at 50 messages a second, which goes through the recorder as fast as it can, and
 marks at random times, some within 1 ms of the end of a window, and some of an earlier moment.  The manner of a world is

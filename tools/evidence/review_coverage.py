@@ -1,6 +1,6 @@
 """How often the review's 95 % interval holds the truth, on simulated cameras: the table of docs/evidence/review.md.
 
-    python tools/review_coverage.py --scenes 20 --points 6
+    python tools/evidence/review_coverage.py --scenes 20 --points 6
 
 For each kind of sensor (``tests/addons/review/sensors.py``) and each distance, over flat, tilted and curved surfaces:
 the share of true points within 1.96 standard errors, and the root mean square of distance / error (1 where errors are
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1]))  # the simulated cameras are those of the tests
+sys.path.insert(0, str(Path(__file__).parents[2]))  # the simulated cameras are those of the tests
 
 from tests.addons.review.coverage import covered
 from tests.addons.review.sensors import DISTANCES_MM, SENSORS, SURFACES

@@ -1,8 +1,8 @@
 """A study of many synthetic sessions, and what `cohort` does with it: the figures of docs/how-to/cohort.md.
 
-    python tools/cohort_study.py make study --count 2000 --stars 24
-    python tools/cohort_study.py judge study --verb lint --work /tmp/judge [--s3 http://127.0.0.1:5000]
-    python tools/cohort_study.py scale study --work /tmp/scale
+    python tools/evidence/cohort_study.py make study --count 2000 --stars 24
+    python tools/evidence/cohort_study.py judge study --verb lint --work /tmp/judge [--s3 http://127.0.0.1:5000]
+    python tools/evidence/cohort_study.py scale study --work /tmp/scale
 
 `make` writes sessions of a few scenarios.  Each ends at a random moment and has metadata of its own; every hundredth is
 cut off, every hundredth has an output with a changed byte.  `judge` runs a verb with one worker, with two, and with two

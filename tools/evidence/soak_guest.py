@@ -1,7 +1,7 @@
 """A short-lived peer of the soak test, in its own process: it connects, behaves well or badly, and disconnects.
 
-    python tools/soak_guest.py igtl PORT FOLDER SEED MANNER LEAVE SECONDS     an OpenIGTLink client; needs no package
-    python tools/soak_guest.py ros SEED                                       a ROS 2 node whose endpoints come and go
+    python tools/evidence/soak_guest.py igtl PORT FOLDER SEED MANNER LEAVE SECONDS  an OpenIGTLink client
+    python tools/evidence/soak_guest.py ros SEED                                   a ROS 2 node
 
 Manners of a client: ``listen`` reads everything, ``talk`` sends too, ``slow`` reads 64 kB ten times a second, ``deaf``
 nothing.  It leaves ``politely``, by ``reset`` (RST), in the ``middle`` of an image that it sends, or is ``killed`` by

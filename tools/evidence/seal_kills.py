@@ -1,6 +1,6 @@
 """SIGKILL for a recorder that seals, at random moments: what is left must be a cut file whose beginning verifies.
 
-.venv/bin/python tools/seal_kills.py [--kills 50] [--seed 1]     print the results
+.venv/bin/python tools/evidence/seal_kills.py [--kills 50] [--seed 1]     print the results
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """How `review` judges points with planted errors on clouds of real cameras: the table of docs/evidence/review.md.
 
-    python tools/review_real.py --pcd frame1.pcd frame2.pcd frame3.pcd
-    python tools/review_real.py --bag jsk_watercan.bag --camera left_camera_optical_frame
+    python tools/evidence/review_real.py --pcd frame1.pcd frame2.pcd frame3.pcd
+    python tools/evidence/review_real.py --bag jsk_watercan.bag --camera left_camera_optical_frame
 
 Several files are successive frames of one camera.  In each of the flattest areas of a cloud, a plane is fitted to the
 readings within --reference-mm.  One point of the plane is judged unchanged, and moved along its ray by the errors of
