@@ -18,6 +18,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
+from igtl_gateway.base.version import __version__
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList
@@ -35,7 +36,7 @@ from igtl_gateway.wire.query import QUERIES
 from igtl_gateway.wire.registry import BODIES
 from tests.places import FIXTURES
 from tests.tables import table
-from tools.fixtures import Recipe, difference, make, packs_alike, recipes
+from tools.fixtures import Recipe, difference, made_by, make, packs_alike, recipes
 
 NAMES = ("star", "paper-types", "every-type", "acquisition", "lego", "ultrasound", "crtk", "brain")
 RECIPES = recipes()
@@ -102,11 +103,19 @@ def test_there_is_a_recipe_for_each() -> None:
 @pytest.mark.parametrize("recipe", RECIPES, ids=[recipe.name for recipe in RECIPES])
 def test_they_are_what_their_commands_make_today(recipe: Recipe, tmp_path: Path) -> None:
     """Record by record, before compression; and as files, where the same zstandard packs them."""
-    made, committed = make(recipe, tmp_path), FIXTURES / f"{recipe.name}.mcap"
+    committed = FIXTURES / f"{recipe.name}.mcap"
+    made = make(recipe, tmp_path, made_by(committed))
     found = difference(committed, made)
     assert not found, f"{found}\nTo renew: make fixtures"
     if packs_alike():
         assert made.read_bytes() == committed.read_bytes()
+
+
+def test_a_recording_states_the_version_that_made_it(tmp_path: Path) -> None:
+    (recipe,) = (each for each in RECIPES if each.name == "acquisition")
+    assert [made_by(make(recipe, tmp_path, version)) for version in ("0.0.9", __version__)] == ["0.0.9", __version__]
+    found = difference(make(recipe, tmp_path, "0.0.9"), FIXTURES / "acquisition.mcap")
+    assert found.startswith("record 0: Header: ") and "0.0.9" in found
 
 
 def test_another_packing_is_no_difference_and_another_field_is(tmp_path: Path) -> None:

@@ -144,7 +144,7 @@ def older_wheel(commit: str, folder: Path) -> Path:
     subprocess.run(["git", "archive", "-o", str(archive), commit], cwd=ROOT, check=True)
     subprocess.run(["tar", "-xf", str(archive)], cwd=source, check=True)
     path = source / "igtl_gateway" / "base" / "version.py"
-    path.write_text(path.read_text("utf-8").replace(f'"{__version__}"', f'"{OLDER}"'), "utf-8")
+    path.write_text(f'__version__ = "{OLDER}"\n', "utf-8")
     command = [sys.executable, "-m", "build", "--no-isolation", "--wheel", "--outdir", str(folder), str(source)]
     subprocess.run(command, env=os.environ | {"IGTL_GATEWAY_PURE": "1"}, capture_output=True, check=True)
     return next(folder.glob(f"igtl_gateway-{OLDER}-*.whl"))

@@ -57,7 +57,7 @@ def _facts(options: ReplayOptions, result: ReplayResult) -> dict[str, Any]:
         "sent": result.sent,
         "bytes": result.bytes,
         "without_peer": result.without_peer,
-        "unheard": result.without_peer,  # the name before 0.1.0, for one release: in the ledger it means no subscriber
+        "unheard": result.without_peer,  # the name in 0.1, until 0.3: in the ledger it means no subscriber
         "undelivered": result.undelivered,
         "refused": [
             {"stream": each.stream, "messages": each.messages, "reason": each.reason} for each in result.refused

@@ -1,3 +1,3 @@
 """The laboratory of igtl-gateway: simulated scenarios, measurements and the demo, as verbs of its command line."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

@@ -1,4 +1,4 @@
-"""What robots get in random worlds between the guard and the middleware; ``tools/evidence/robot_worlds.py`` has more."""
+"""What robots get in random worlds between guard and middleware; ``tools/evidence/robot_worlds.py`` has more."""
 
 from __future__ import annotations
 

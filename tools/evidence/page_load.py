@@ -1,7 +1,7 @@
 """A bridge with 100 streams of 10 Hz, without and with the page: for ``bench --against``, so that both are in one run.
 
     igtl-gateway bench --case transform --direction igtl-to-ros --rate 500 --duration 8 --no-floor \\
-        --against "python -m tools.evidence.page_load none {port}" \
+        --against "python -m tools.evidence.page_load none {port}" \\
         --against "python -m tools.evidence.page_load open {port} page.txt"
 
 ``none``: without the page; ``open``: one browser; ``twenty``: 20, and one that never reads; ``killed``: its process is

@@ -1,6 +1,6 @@
 """Counts the different outputs of many re-simulations: one row for each kind of program of tests/addons/resim/programs.
 
-``python tools/evidence/resim_runs.py`` runs each kind 1,000 times, in turns of 100, and prints the table after each turn.
+``python tools/evidence/resim_runs.py`` runs each kind 1,000 times, in turns of 100, and prints the table.
 The load is that of the machine beside the runs (mean of the last minute); start it beside work of your own, or with
 ``--load 4``, which keeps four processes busy.  ``--share 20`` lets 20 programs in Python share the start of their
 interpreter (`tools/evidence/resim_forks.py`).  Exit code 1 if any run differs or could not be judged.
