@@ -53,7 +53,7 @@ def poses(place: tuple[str, int], hz: float, sent: list[float], read: list[float
         place: of the bridge.
         hz: number a second.
         sent: gets the time at which each was handed over.
-        read: gets the time at which the bridge was seen to have read each.
+        read: gets the time until which the bridge has read each.
         ends: set at the end.
     """
     with socket.create_connection(place) as link:

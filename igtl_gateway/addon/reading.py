@@ -94,7 +94,7 @@ HOMES: Homes = (
     # Its entries as they were before, and through a gateway
     ("replay.source", "check_recorded through_gateway"),
     ("replay.state_before", "latched_before messages_before notes_before with_state"),
-    # MCAP files that are no session: their index and records
+    # MCAP files of other programs: their index and records
     ("record.sessionfile", "records"),
     ("record.sessionfile.index", "read_index read_record recover_hint"),
     ("record.sessionfile.order", "message_rows"),
