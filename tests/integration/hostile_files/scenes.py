@@ -454,7 +454,7 @@ _SCENES: tuple[tuple[str, Danger, str, Data], ...] = (
     ("version-none", Danger.SHAPE, "a scene without a version", lambda: scene(f"<MRML>{pose()}</MRML>")),
     ("html", Danger.SHAPE, "another document", lambda: scene("<html></html>")),
     ("broken", Danger.SHAPE, "broken XML", lambda: scene("<MRML><A>")),
-    ("no-text", Danger.SHAPE, "a document that is no text", lambda: scene(b"\xff\xfe<\x00M\x00")),
+    ("no-text", Danger.SHAPE, "a document of other bytes than text", lambda: scene(b"\xff\xfe<\x00M\x00")),
     (
         "utf-16",
         Danger.SHAPE,
@@ -678,7 +678,7 @@ _SEQUENCES: tuple[tuple[str, Danger, str, Data], ...] = (
 
 
 def _linked(folder: Path) -> Path:
-    """A document beside a link to a file of somebody else."""
+    """A document beside a link to a file above its folder."""
     (folder / "Data").mkdir()
     (folder / "secret").write_bytes(poses())
     (folder / "scene").mkdir()
