@@ -148,7 +148,7 @@ def test_a_program_that_is_ended(tmp_path: Path, number: signal.Signals) -> None
 
 
 #: Where an export of a scene is ended: when the session is read and the pixels are written; when all is written.
-_MIDDLE, _END = "igtl_gateway.addons.exchange.scene_out._clock", "igtl_gateway.record.sessionfile.beside._move"
+_MIDDLE, _END = "igtl_gateway.addons.exchange.scene_out._clock", "igtl_gateway.record.sessionfile.whole_files._move"
 
 
 @pytest.mark.slow

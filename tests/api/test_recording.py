@@ -560,7 +560,7 @@ def test_one_name_is_not_its_letters() -> None:
 def test_results_are_one_line_in_a_console_and_escaped_in_a_notebook() -> None:
     with igtl_gateway.open(STAR) as recording:
         stream, images = recording[TOOL], recording["IMAGE/Camera"].images()
-        clouds, aligned = recording["/star/cloud"].points(), igtl_gateway.align([stream], on=recording["/star/cloud"])
+        clouds, aligned = recording["/star/cloud"].points(), igtl_gateway.align([stream], on=recording["/star/tool"])
         shown: list[Any] = [recording, stream, stream.poses(), images, images[0], clouds, clouds[0]]
         shown += [aligned, aligned[TOOL], recording.tf, recording.tf.edges[0], igtl_gateway.review(recording)]
         shown += [stream.poses()[:0], igtl_gateway.diff(recording, recording), igtl_gateway.verify(recording)]

@@ -142,8 +142,12 @@ def one_clock(streams: Sequence[StreamTimes], wanted: str = AUTO) -> OneClock:
         notes = [f"clock: gateway: found {found}, so all streams have their times of receipt"] if is_mixed else []
         return OneClock(GATEWAY, nothing, tuple(notes))
     received = [index for index, each in enumerate(streams) if each.is_of_receipt]
-    if received and wanted == AUTO and len(received) == sum(len(each.times) > 0 for each in streams):
-        return OneClock(GATEWAY, nothing)  # nothing is mixed
+    if (
+        received
+        and wanted == AUTO
+        and len(received) == sum(len(each.times) > 0 and not each.is_clock for each in streams)
+    ):
+        return OneClock(SOURCE, nothing)  # nothing is mixed, and an imported file has its own times as stamps
     notes = []
     if received:
         notes.append(
