@@ -27,8 +27,8 @@ _POLYDATA = Struct(">10I")
 _IMAGE, _ITEM_BYTES = Struct(">2xBB2x3H48x6H"), {2: 1, 3: 1, 15: 1, 4: 2, 5: 2, 6: 4, 7: 4, 10: 4, 11: 8}
 #: A part of a volume makes a copy of the whole.
 _NS_PER_BYTE_OF_WHOLE = 2
-#: Pictures take the same way whatever their size: they are views, and copied without the lock.
-_PICTURES = frozenset({b"IMAGE", b"VIDEO"})
+#: Pictures are views, so this is what copies take: into the ROS message, and of both for the recorder.
+_PICTURES, _NS_PER_PICTURE_BYTE = frozenset({b"IMAGE", b"VIDEO"}), 1
 _NS_PER_OTHER_BYTE = 5
 #: What is shorter is never expensive, except parts of volumes.
 _LEAST_BYTES = 512
@@ -49,9 +49,11 @@ def cost_ns(message: Buffer) -> int:
     if igtl_type == b"POLYDATA":
         cost = _of_polydata(message, size, content_at)
     elif igtl_type == b"IMAGE":
-        cost = _of_image(message, content_at)
+        cost = _of_image(message, content_at) or _NS_PER_PICTURE_BYTE * size
+    elif igtl_type in _PICTURES:
+        cost = _NS_PER_PICTURE_BYTE * size
     else:
-        cost = 0 if igtl_type in _PICTURES else _NS_PER_BYTE.get(igtl_type, _NS_PER_OTHER_BYTE) * size
+        cost = _NS_PER_BYTE.get(igtl_type, _NS_PER_OTHER_BYTE) * size
     if not is_version_1:
         items = int.from_bytes(head[HEADER_SIZE + 2 : HEADER_SIZE + 4], "big") // _ITEM_SIZE
         cost += (
