@@ -86,6 +86,19 @@ def test_a_header_of_the_kernel_compiles_alone_without_a_warning(name: str, comp
     assert (run.returncode, run.stderr) == (0, "")
 
 
+@table("source", [path.relative_to(PACKAGE).as_posix() for path in sorted(PACKAGE.rglob("_*.c"))])
+def test_a_part_compiles_without_a_warning(source: str, compiler: str) -> None:
+    """Each module in C, those of add-ons too; a conversion that may lose bits or the sign is written out."""
+    warnings = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror")
+    # the macros of Python's headers are not ours
+    command = [compiler, "-fsyntax-only", "-std=gnu11", *warnings, "-isystem", sysconfig.get_path("include")]
+    try:
+        run = subprocess.run([*command, PACKAGE / source], capture_output=True, text=True, check=False)
+    except OSError:
+        pytest.skip("no C compiler")
+    assert (run.returncode, run.stderr) == (0, "")
+
+
 # -- the walks -------------------------------------------------------------------------------------------------------
 
 _STEP = re.compile(r"^( *)((?:kernel|passage)/[\w/]+\.h): (\w+)", re.MULTILINE)

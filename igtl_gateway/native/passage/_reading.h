@@ -72,7 +72,7 @@ static void end_large(Link *self)
     }
     large->message.buffer = self->body;
     large->message.length = large->message.capacity = (size_t)self->body_size;
-    large->is_checked = is_right(self);
+    large->is_checked = (char)is_right(self);
     end_body(self);
     pthread_mutex_lock(&passage->events);
     *self->large_end = large;
@@ -93,20 +93,22 @@ static void end_large(Link *self)
     }
 }
 
-/* Begin to read a large message, whose beginning is in the chunk; 0: Python has to read it. */
-static int begin_large(Link *self, uint64_t total)
+/* Begin to read a large message, whose beginning is in the chunk; 0: Python has to read it.  ``body``: as its header has it,
+ * so the sum with that of the header may wrap around. */
+static int begin_large(Link *self, uint64_t body)
 {
-    wait_for_sequence(self->passage);
-    ssize_t most = most_of_large(self, self->chunk + self->start);
     const uint8_t *names = self->chunk + self->start;
+    wait_for_sequence(self->passage);
+    ssize_t most = most_of_large(self, names);
+    ssize_t total = most > HEADER_SIZE && body <= (uint64_t)(most - HEADER_SIZE) ? HEADER_SIZE + (ssize_t)body : 0;
     Stream *stream = total > LARGEST_RECEIVED ? stream_named(self->streams[bucket_of(names)], names) : NULL;
     self->checks = stream && stream->is_bulk && stream->bulk_from_igtl.check_crc;
     unlock_sequence(self->passage);
-    if (total > (uint64_t)most || !(self->body = malloc(total)))
+    if (!total || !(self->body = malloc((size_t)total)))
         return 0;
-    self->body_size = (ssize_t)total;
+    self->body_size = total;
     self->body_filled = self->filled - self->start;
-    memcpy(self->body, self->chunk + self->start, self->body_filled);
+    memcpy(self->body, names, (size_t)self->body_filled);
     self->body_crc = self->checks ? crc64_update(0, self->body + HEADER_SIZE, self->body_filled - HEADER_SIZE) : 0;
     self->start = self->filled = 0;
     return 1;
@@ -125,7 +127,7 @@ static int has_message(const Link *self)
 /* Let the room grow until now. */
 static void make_room(Link *self, int64_t now_ns)
 {
-    self->room += (now_ns - self->rated_ns) * self->rate / NS_PER_S;
+    self->room += (double)(now_ns - self->rated_ns) * self->rate / NS_PER_S;
     if (self->room > self->rate)
         self->room = self->rate;
     self->rated_ns = now_ns;
@@ -136,12 +138,12 @@ static int receive(Link *self)
 {
     if (self->start) {
         self->filled -= self->start;
-        memmove(self->chunk, self->chunk + self->start, self->filled);
+        memmove(self->chunk, self->chunk + self->start, (size_t)self->filled);
         self->start = 0;
     }
     uint8_t *place = self->body ? self->body + self->body_filled : self->chunk + self->filled;
     ssize_t room = self->body ? self->body_size - self->body_filled : CHUNK_BYTES - self->filled;
-    ssize_t count = recv(self->fd, place, room < LARGEST_RECEIPT ? room : LARGEST_RECEIPT, MSG_DONTWAIT);
+    ssize_t count = recv(self->fd, place, (size_t)(room < LARGEST_RECEIPT ? room : LARGEST_RECEIPT), MSG_DONTWAIT);
     if (count < 0 && (errno == EAGAIN || errno == EINTR))
         return 0;
     if (count <= 0) {
@@ -210,7 +212,7 @@ static int read_link(Link *self, int64_t begun_ns)
             int waits = __atomic_load_n(&self->large_waiting, __ATOMIC_ACQUIRE) && most_of_large(self, message); /* for one of its stream */
             passed = stream && !waits && pass_to_ros(passage, stream, message, HEADER_SIZE + (ssize_t)body, now_ns);
             unlock_sequence(passage);
-        } else if (begin_large(self, HEADER_SIZE + body)) {
+        } else if (begin_large(self, body)) {
             left = 0;
             break;
         }

@@ -63,7 +63,7 @@ static void record(Passage *self, const Stream *stream, struct output *const *ou
         return;
     queue_add(&self->queue, stream->number, seq, (uint64_t)stamp_ns, (uint64_t)source_ns, data, (uint64_t)size);
     for (int i = 0; i < count; i++)
-        queue_add(&self->queue, outputs[i]->number, seq + 1 + i, (uint64_t)(stamp_ns + 1 + i), (uint64_t)shown_ns,
+        queue_add(&self->queue, outputs[i]->number, seq + 1 + (uint64_t)i, (uint64_t)(stamp_ns + 1 + i), (uint64_t)shown_ns,
                   scratch_of(self, i), (uint64_t)sizes[i]);
     end_record(self);
 }
@@ -77,7 +77,7 @@ static void reserve(Passage *self, const Stream *stream, struct output *const *o
         return;
     slots[0] = queue_reserve(&self->queue, stream->number, seq, (uint64_t)stamp_ns, (uint64_t)source_ns, (uint64_t)size);
     for (int i = 0; i < count; i++)
-        slots[1 + i] = queue_reserve(&self->queue, outputs[i]->number, seq + 1 + i, (uint64_t)(stamp_ns + 1 + i),
+        slots[1 + i] = queue_reserve(&self->queue, outputs[i]->number, seq + 1 + (uint64_t)i, (uint64_t)(stamp_ns + 1 + i),
                                      (uint64_t)shown_ns, (uint64_t)sizes[i]);
     end_record(self);
 }

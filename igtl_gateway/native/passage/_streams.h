@@ -75,9 +75,9 @@ static uint8_t *scratch_of(Passage *self, int output) { return self->scratch + (
 
 static uint8_t *copied(const void *data, ssize_t size)
 {
-    uint8_t *copy = malloc(size ? size : 1);
+    uint8_t *copy = malloc(size ? (size_t)size : 1);
     if (copy)
-        memcpy(copy, data, size);
+        memcpy(copy, data, (size_t)size);
     return copy;
 }
 

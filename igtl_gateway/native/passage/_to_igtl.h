@@ -67,7 +67,7 @@ static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize
         struct output *output = built[i];
         uint8_t *message = scratch_of(self, i);
         if (!is_bulk) {
-            memcpy(message, output->template, output->size);
+            memcpy(message, output->template, (size_t)output->size);
             put_u64(message + TICKS_AT, ns_to_ticks(shown_ns));
             put_igtl_pose(message, output->size, output->at, stream->from_ros.bytes, output->digits_at, numbers, header_ns,
                           shown_ns);
@@ -88,7 +88,7 @@ static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize
     stream->converted++;
     set_latest(stream, seq, stamp_ns, source_ns, NULL);
     stream->latest_size = size;
-    memcpy(stream->latest, cdr, size);
+    memcpy(stream->latest, cdr, (size_t)size);
     attend_recorder(self);
     return 1;
 }

@@ -119,7 +119,7 @@ static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize
         struct output *output = chosen.outputs[i];
         uint8_t *cdr = scratch_of(self, i);
         if (!is_bulk) {
-            memcpy(cdr, output->template, output->size);
+            memcpy(cdr, output->template, (size_t)output->size);
             put_ros_pose_or_id(cdr, output->size, output->at, output->id_at, shown_ns, pose, data);
         }
         publish_output(self, &chosen, i, cdr);

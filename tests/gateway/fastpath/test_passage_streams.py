@@ -1163,6 +1163,21 @@ def test_a_picture_above_the_limit_ends_the_link(monkeypatch: pytest.MonkeyPatch
         assert here.bridge.tcp.link_faults() == {"too_large": 1}
 
 
+@pytest.mark.parametrize("size", [2**64 - 1, 2**64 - 58, 2**64 - 57, 2**64 - 50, 2**63 - 58, 2**63])
+def test_a_size_of_a_picture_that_wraps_around_ends_the_link(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Header and body together are a small number of 64 bits, or a negative one: no memory is taken for that."""
+    with scene(monkeypatch) as here:
+        peer = here.connect()
+        for number in range(10):
+            peer.send(picture(number) + transform(number))
+            time.sleep(0.005)
+        wait_for(lambda: (link := here.bridge.tcp.native_link(1)) is not None and link.is_native and here.native == 2)
+        with suppress(OSError):  # the bridge closes it while this sends
+            peer.send(picture(1)[:42] + struct.pack(">QQ", size, 0) + bytes(100_000))
+        wait_for(lambda: not here.bridge.tcp.links())
+        assert here.bridge.tcp.link_faults() == {"too_large": 1}
+
+
 def test_a_peer_that_leaves_inside_a_picture_is_noted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     path = tmp_path / "session.mcap"
     with scene(monkeypatch, path=path) as here:

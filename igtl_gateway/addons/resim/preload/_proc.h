@@ -90,7 +90,7 @@ static const struct {
 static const char *timed_call(long call, const uint64_t *arguments)
 {
     if (call == SYS_futex) {
-        uint64_t operation = arguments[1] & FUTEX_CMD_MASK;
+        uint64_t operation = arguments[1] & (uint64_t)FUTEX_CMD_MASK;
         bool is_wait = operation == FUTEX_WAIT || operation == FUTEX_WAIT_BITSET || operation == FUTEX_LOCK_PI;
         return is_wait && arguments[3] ? "futex" : NULL;
     }

@@ -703,7 +703,7 @@ ret rcl_timer_is_ready(const void *timer, bool *is_ready)
 static ret set_callback(struct entity *entity, abi_callback callback, const void *user_data)
 {
     enter();
-    S.callbacks += (callback != NULL) - (entity->callback != NULL);
+    S.callbacks += (size_t)(callback != NULL) - (size_t)(entity->callback != NULL);
     entity->callback = callback;
     entity->user_data = user_data;
     size_t unseen = callback ? entity->count : 0;

@@ -343,7 +343,7 @@ static void *watch(void *nothing)
 static uint64_t order_of_thread(void)
 {
     if (!own_number && tid_of_this() != getpid()) /* made without pthread_create */
-        own_number = (1ULL << 32) + (uint64_t)tid_of_this();
+        own_number = ((uint64_t)1 << 32) + (uint64_t)tid_of_this();
     return (1ULL << 32) + own_number;
 }
 
@@ -726,10 +726,10 @@ int pthread_cond_clockwait(pthread_cond_t *restrict condition, pthread_mutex_t *
     ({                                                                                                                 \
         struct waiter waiter;                                                                                          \
         begin_timed(&waiter, WAIT_SIGNAL, atomic_load(&T.now_ns) + (left_ns), NULL);                                   \
-        int result = (call);                                                                                           \
-        if (end_timed(&waiter) && result < 0 && errno == EINTR)                                                        \
-            result = 0;                                                                                                \
-        result;                                                                                                        \
+        int polled = (call);                                                                                           \
+        if (end_timed(&waiter) && polled < 0 && errno == EINTR)                                                        \
+            polled = 0;                                                                                                \
+        polled;                                                                                                        \
     })
 
 /* How often a thread has polled at one time, and found nothing. */

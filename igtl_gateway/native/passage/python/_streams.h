@@ -160,7 +160,7 @@ static Stream *new_stream(Passage *passage, const char *sample, Py_ssize_t size)
     memset((char *)self + offsetof(Stream, passage), 0, sizeof *self - offsetof(Stream, passage));
     self->passage = (Passage *)Py_NewRef((PyObject *)passage);
     self->sample = copied(sample, size);
-    self->latest = malloc(size > LARGEST_INPUT ? size : LARGEST_INPUT);
+    self->latest = malloc(size > LARGEST_INPUT ? (size_t)size : LARGEST_INPUT);
     if (!self->sample || !self->latest) {
         Py_DECREF(self);
         PyErr_NoMemory();
