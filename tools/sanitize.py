@@ -23,7 +23,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 NATIVE = ROOT / "igtl_gateway" / "native"
-PARTS = ("_express", "_queue", "_chunk", "_passage")
+PARTS = ("_express", "_queue", "_chunk", "_columns", "_passage")
 CHECKS = (
     "-DIGTL_GATEWAY_CHECKED",
     "-fsanitize=address,undefined",
@@ -37,6 +37,8 @@ TESTS = (
     "tests/gateway/fastpath",
     "tests/record/test_shared_queue.py",
     "tests/convert/test_express.py",
+    "tests/record/sessionfile/test_chunk_columns.py",
+    "tests/record/sessionfile/test_columns.py",
 )
 
 #: Loads the parts from the folder that it lies in.

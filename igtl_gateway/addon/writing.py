@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from igtl_gateway.base.systems.files import lock as lock_handle
     from igtl_gateway.record.sessionfile import merged as merged
     from igtl_gateway.record.sessionfile.channels import SEQUENCES as SEQUENCES
-    from igtl_gateway.record.sessionfile.chunks import Row as Row
+    from igtl_gateway.record.sessionfile.chunk_columns import Row as Row
     from igtl_gateway.record.sessionfile.definition import Definition as Definition
     from igtl_gateway.record.sessionfile.definition import FileDefinitions as FileDefinitions
     from igtl_gateway.record.sessionfile.definition import another_definition as another_definition
@@ -52,7 +52,7 @@ HOMES: Homes = (
     ("record.sessionfile", "merged"),
     ("record.sessionfile.merged", "Method"),
     ("record.sessionfile.channels", "SEQUENCES"),
-    ("record.sessionfile.chunks", "Row"),
+    ("record.sessionfile.chunk_columns", "Row"),
     ("record.sessionfile.stream", "McapStream"),
 )
 

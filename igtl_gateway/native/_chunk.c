@@ -10,22 +10,17 @@
 #include <string.h>
 
 #include "kernel/_queue.h"
+#include "kernel/_records.h"
 
 #if __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
 #error "this part writes numbers as they are in memory"
 #endif
 
-/* MCAP: opcode and length of each record; then, of a message, channel, sequence, log_time and publish_time. */
-#define RECORD_HEAD 9
-#define MESSAGE_HEAD 22
-#define MESSAGE 5
-#define MESSAGE_INDEX 7
+#define MESSAGE_INDEX 7 /* opcode */
 /* Of a message index: channel, and bytes of its pairs. */
 #define INDEX_HEAD 6
 #define PAIR 16
 
-/* igtl_msgs/RawMessage: encapsulation, stamp, source_stamp, source_ticks, direction; igtl_gateway/record/sessionfile/messages.py */
-#define RAW_HEAD 32
 #define TICKS_AT 34 /* in an OpenIGTLink header, as BODY_SIZE_AT */
 #define BODY_SIZE_AT 42
 
@@ -59,13 +54,6 @@ static uint8_t *put_u64(uint8_t *at, uint64_t value)
     return put(at, &value, 8);
 }
 
-static uint64_t get_u64(const uint8_t *at)
-{
-    uint64_t value;
-    memcpy(&value, at, 8);
-    return value;
-}
-
 /* -- rows into a chunk -------------------------------------------------------------------------------------------- */
 
 /* How the entries of a stream become messages: an item of the list ``streams``. */
@@ -97,7 +85,7 @@ static uint8_t *put_raw_head(uint8_t *at, const struct stream *stream, const uin
     at = put_u32(at, (uint32_t)(stamp_ns % NS_PER_S));
     at = put_u32(at, (uint32_t)(source_ns / NS_PER_S));
     at = put_u32(at, (uint32_t)(source_ns % NS_PER_S));
-    at = put_u64(at, size >= BODY_SIZE_AT ? __builtin_bswap64(get_u64(payload + TICKS_AT)) : 0);
+    at = put_u64(at, size >= BODY_SIZE_AT ? __builtin_bswap64(record_u64(payload + TICKS_AT)) : 0);
     at = put_u8(at, (uint8_t)stream->direction);
     at = put(at, padding, 3);
     at = put(at, stream->same, (size_t)stream->same_size);
@@ -183,7 +171,7 @@ static const uint8_t *next_message(const uint8_t *chunk, Py_ssize_t size, Py_ssi
 {
     while (size - *at >= RECORD_HEAD + MESSAGE_HEAD) {
         const uint8_t *record = chunk + *at;
-        const uint64_t length = get_u64(record + 1);
+        const uint64_t length = record_u64(record + 1);
         *at = length > (uint64_t)(size - *at - RECORD_HEAD) ? size : *at + RECORD_HEAD + (Py_ssize_t)length;
         if (record[0] == MESSAGE)
             return record;
@@ -206,7 +194,7 @@ static PyObject *index_messages(PyObject *module, PyObject *data)
     while ((record = next_message(view.buf, view.len, &at))) {
         uint16_t number;
         memcpy(&number, record + RECORD_HEAD, 2);
-        const uint64_t time = get_u64(record + RECORD_HEAD + INDEX_HEAD);
+        const uint64_t time = record_u64(record + RECORD_HEAD + INDEX_HEAD);
         first = time < first ? time : first;
         last = time > last ? time : last;
         if (!numbers[number]) {

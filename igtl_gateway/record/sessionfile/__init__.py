@@ -6,6 +6,7 @@ The way through the folder, from bytes to sessions:
 ``records``          MCAP's records as bytes: opcodes, layouts, checksum, parsing and packing
 ``compression``      chunks in lz4 and zstd, both directions
 ``contents``         what is in a file and where: chunks, channels, counts
+``chunk_columns``    the messages of a chunk as arrays, in C
 ``chunks``           one chunk: read, unpacked, taken apart into messages
 ``scan``, ``index``  the contents of a file: from its summary, or by one pass over its data
 ``index_check``      the indexes of messages, which have no checksum
@@ -19,6 +20,7 @@ The way through the folder, from bytes to sessions:
 ``beside``           every file that a verb writes: beside its place, moved there when it is complete
 ``writer``           entries → file; ``side_file``: the folder of a split recording
 ``reader``           file → entries
+``columns``          entries in bulk: arrays, objects only for what is looked into
 ``lookup``           starting in the middle of a file
 ``damaged``          the records of a damaged file; ``salvage`` and ``salvage_report``: their messages, and the losses
 ``recovery``         the readable rest of a damaged file as a new one, which is read again

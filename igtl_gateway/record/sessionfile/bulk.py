@@ -89,7 +89,7 @@ class MessageBlock:
         return MessageBlock(self.data, begins, ends, numbers, times, sources, links)
 
 
-class Unfit(Exception):
+class Unusable(Exception):
     """The file must be read entry by entry."""
 
 
@@ -116,10 +116,10 @@ class ChunkReader:
             whole: the times include all messages, so their number must be that of the summary.
             is_wire: messages are RawMessages, and the payload is the OpenIGTLink message in it.
 
-        Raises Unfit before the first block, or Malformed, LimitExceeded, UnsupportedRecording (a time after 2262).
+        Raises Unusable before the first block, or Malformed, LimitExceeded, UnsupportedRecording (a time after 2262).
         """
         if not self._fit:
-            raise Unfit
+            raise Unusable
         wanted = set(channels)
         chunks = [
             chunk
@@ -127,7 +127,7 @@ class ChunkReader:
             if chunk.end_ns >= start_ns and chunk.start_ns < end_ns and not wanted.isdisjoint(chunk.channels)
         ]
         if any(not chunk.places and chunk.size for chunk in self._index.chunks):
-            raise Unfit
+            raise Unusable
         check_work(self._index.size, work_of(chunks), self._path)
         places = [self._places(chunk, wanted)[1] for chunk in chunks]
         count = 0
@@ -149,31 +149,31 @@ class ChunkReader:
         """Times of the first and the last message of some MCAP channels; reads no message.  Raises as `blocks`."""
         wanted = set(channels)
         if not self._fit:
-            raise Unfit
+            raise Unusable
         chunks = [chunk for chunk in self._index.chunks if not wanted.isdisjoint(chunk.channels)]
         if not chunks:
-            raise Unfit
+            raise Unusable
         first, last = (self._places(chunk, wanted)[0] for chunk in (chunks[0], chunks[-1]))
         if not len(first) or not len(last):
-            raise Unfit
+            raise Unusable
         return int(first.min()), int(last.max())
 
     def _places(self, chunk: ChunkEntry, wanted: set[int]) -> tuple[Numbers, Numbers]:
-        """Times and offsets of the messages of some channels, by the index of a chunk.  Raises Unfit."""
+        """Times and offsets of the messages of some channels, by the index of a chunk.  Raises Unusable."""
         indexes = chunk.message_indexes
         found = [self._pairs(chunk, number, indexes) for number in sorted(wanted & indexes.keys())]
         pairs = np.concatenate(found)
         return pairs[:, 0], pairs[:, 1]
 
     def _pairs(self, chunk: ChunkEntry, channel: int, indexes: Mapping[int, int]) -> Numbers:
-        """(n, 2): time and offset of the messages of a channel.  Raises Unfit."""
+        """(n, 2): time and offset of the messages of a channel.  Raises Unusable."""
         at = indexes[channel]
         end = chunk.at + chunk.length + chunk.index_length
         self._stream.seek(at)
         size = HEAD.size + MESSAGE_INDEX_HEAD.size
         head = self._stream.read(size)
         if len(head) < size:
-            raise Unfit
+            raise Unusable
         opcode, length = HEAD.unpack_from(head)
         number, pairs_size = MESSAGE_INDEX_HEAD.unpack_from(head, HEAD.size)
         # where the next index begins is in the summary, which has a checksum: a wrong size would lose messages
@@ -186,10 +186,10 @@ class ChunkReader:
             or at + size + pairs_size > end
             or pairs_size % 16
         ):
-            raise Unfit
+            raise Unusable
         pairs = np.frombuffer(self._stream.read(pairs_size), "<u8")
         if pairs.nbytes != pairs_size:
-            raise Unfit
+            raise Unusable
         return pairs.reshape(-1, 2).astype(np.int64)
 
     def _unpacked(self, chunk: ChunkEntry) -> bytes:

@@ -14,7 +14,7 @@ from mcap.records import Channel, Schema
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile import layout
-from igtl_gateway.record.sessionfile.chunks import Row
+from igtl_gateway.record.sessionfile.chunk_columns import Row
 from igtl_gateway.record.sessionfile.messages import RawUnpacker, unpack_note
 
 #: MCAP's sequence has 32 bits; entry numbers have no bound.

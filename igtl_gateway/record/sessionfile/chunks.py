@@ -5,6 +5,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import repeat
 from operator import itemgetter
 from typing import IO
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from igtl_gateway.base.untrusted import limits
 from igtl_gateway.record.sessionfile import records
+from igtl_gateway.record.sessionfile.chunk_columns import Columns, Row, count_of, rows_of, take
 from igtl_gateway.record.sessionfile.compression import decompress
 from igtl_gateway.record.sessionfile.contents import ChunkEntry
 from igtl_gateway.record.sessionfile.records import (
@@ -19,13 +21,9 @@ from igtl_gateway.record.sessionfile.records import (
     HEAD,
     MESSAGE,
     MESSAGE_HEAD,
-    MESSAGE_RECORD,
     Malformed,
     RecordFields,
 )
-
-#: Channel, sequence, log_time, publish_time; first and last offset of the payload in the bytes that follow.
-Row = tuple[int, int, int, int, int, int, bytes]
 
 #: All of a chunk before its data, with the longest name that a compression has.
 _CHUNK_BEGIN = HEAD.size + CHUNK_HEAD.size + records.U32.size + len("zstd") + records.U64.size
@@ -88,63 +86,50 @@ def packed_chunk(stream: IO[bytes], entry: ChunkEntry, path: str) -> PackedChunk
 def batches(data: bytes) -> Iterator[list[Row]]:
     """The messages in the bytes of a chunk, in order of time; of a large chunk in several lists.  Raises Malformed."""
     if len(data) <= SMALL_BYTES:
-        yield _rows(data)
+        rows, in_order, end = rows_of(data)
+        _check_end(data, end)
+        if not in_order:
+            rows.sort(key=_log_time)  # stable: of equal times, the order in the file
+        yield rows
+        return
+    for each in column_batches(data):
+        yield list(zip(*(column.tolist() for column in each), repeat(data)))
+
+
+def column_batches(data: bytes) -> Iterator[Columns]:
+    """As :func:`batches`, in columns."""
+    count, in_order, end, _ = count_of(data)
+    _check_end(data, end)
+    most = count if len(data) <= SMALL_BYTES else BATCH
+    if in_order or count <= most:
+        at = 0
+        for first in range(0, max(count, 1), max(most, 1)):
+            found = Columns.empty(min(most, count - first))
+            at = take(data, at, *found)
+            yield found if in_order else found.where(np.argsort(found.times, kind="stable"))
         return
     starts, stamps = array("Q"), array("Q")
-    for at, stamp_ns in _heads(data):
-        starts.append(at)
-        stamps.append(stamp_ns)
-    # stable: of equal times, the order in the file
-    order = np.argsort(np.frombuffer(stamps, np.uint64), kind="stable") if starts else np.zeros(0, np.intp)
-    for first in range(0, len(order), BATCH):
-        rows: list[Row] = []
-        for i in order[first : first + BATCH].tolist():
-            at = starts[i]
-            _, length, *numbers = MESSAGE_RECORD.unpack_from(data, at)
-            rows.append((*numbers, at + MESSAGE_RECORD.size, at + HEAD.size + length, data))
-        yield rows
-
-
-def _heads(data: bytes) -> Iterator[tuple[int, int]]:
-    """Offset and time of each message."""
-    at, size = 0, len(data)
-    while at < size:
-        opcode, length = _head(data, at)
+    at = 0
+    while at < len(data):
+        opcode, length = HEAD.unpack_from(data, at)
         if opcode == MESSAGE:
-            yield at, MESSAGE_HEAD.unpack_from(data, at + HEAD.size)[2]
+            starts.append(at)
+            stamps.append(MESSAGE_HEAD.unpack_from(data, at + HEAD.size)[2])
         at += HEAD.size + length
+    places = np.frombuffer(starts, np.uint64)
+    # stable: of equal times, the order in the file
+    order = np.argsort(np.frombuffer(stamps, np.uint64), kind="stable")
+    for first in range(0, count, BATCH):
+        one = Columns.empty(1)
+        found = Columns.empty(min(BATCH, count - first))
+        for row, place in enumerate(places[order[first : first + BATCH]].tolist()):
+            take(data, place, *one)
+            for number, value in enumerate(one):
+                found[number][row] = value[0]
+        yield found
 
 
-def _rows(data: bytes) -> list[Row]:
-    """The messages in the bytes of a chunk."""
-    rows: list[Row] = []
-    at, last_ns, sorted_by_time = 0, 0, True
-    size, heads, unpack = len(data), MESSAGE_RECORD.size, MESSAGE_RECORD.unpack_from
-    while at < size:
-        if size - at < heads:
-            _, length = _head(data, at)
-            end = at + HEAD.size + length
-        else:
-            opcode, length, channel, sequence, log_ns, publish_ns = unpack(data, at)
-            end = at + HEAD.size + length
-            if end > size or (opcode == MESSAGE and length < MESSAGE_HEAD.size):
-                _head(data, at)
-            if opcode == MESSAGE:
-                rows.append((channel, sequence, log_ns, publish_ns, at + heads, end, data))
-                if log_ns < last_ns:
-                    sorted_by_time = False
-                last_ns = log_ns
-        at = end
-    if not sorted_by_time:
-        rows.sort(key=_log_time)  # stable: of equal times, the order in the file
-    return rows
-
-
-def _head(data: bytes, at: int) -> tuple[int, int]:
-    """Opcode and length of the record at ``at``.  Raises Malformed where it does not fit."""
-    size = len(data) - at
-    opcode, length = HEAD.unpack_from(data, at) if size >= HEAD.size else (0, -1)
-    least = MESSAGE_HEAD.size if opcode == MESSAGE else 0
-    if not least <= length <= size - HEAD.size:
-        raise Malformed(f"found {size} bytes at the end of a chunk, expected a whole record")
-    return opcode, length
+def _check_end(data: bytes, end: int) -> None:
+    """Raise Malformed where the records of a chunk end before it."""
+    if end < len(data):
+        raise Malformed(f"found {len(data) - end} bytes at the end of a chunk, expected a whole record")

@@ -26,7 +26,8 @@ import numpy.typing as npt
 from igtl_gateway.base.errors import LimitExceeded
 from igtl_gateway.base.untrusted import limits
 from igtl_gateway.gateway.log.entry import MESSAGES, Kind
-from igtl_gateway.record.sessionfile.chunks import Row, packed_chunk
+from igtl_gateway.record.sessionfile.chunk_columns import Row
+from igtl_gateway.record.sessionfile.chunks import packed_chunk
 from igtl_gateway.record.sessionfile.contents import ChunkEntry, Index, check_work, work_of
 from igtl_gateway.record.sessionfile.records import (
     HEAD,

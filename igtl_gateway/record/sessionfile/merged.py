@@ -28,7 +28,7 @@ from igtl_gateway.base.untrusted.text import parse_json
 from igtl_gateway.base.untrusted.unpack import unpack_zstd_of_any_size
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.record.sessionfile import layout
-from igtl_gateway.record.sessionfile.chunks import Row
+from igtl_gateway.record.sessionfile.chunk_columns import Row
 from igtl_gateway.record.sessionfile.compression import compress
 from igtl_gateway.record.sessionfile.stream import McapStream
 

@@ -127,9 +127,14 @@ class RawUnpacker:
     def _parse(self, data: bytes | memoryview, seq: int, log_ns: int, publish_ns: int) -> Entry:
         entry = unpack_raw(data, seq, log_ns, publish_ns)
         self._channel, self._type, self._links = entry.channel, entry.type, entry.links
-        self._same = bytes(data[_RAW_HEAD.size : len(data) - entry.size - _U32.size])
+        self._same = raw_head(data, entry)
         self._head = struct.Struct(f"{_RAW_START.format}{len(self._same)}sI")
         return entry
+
+
+def raw_head(data: Buffer, entry: Entry) -> bytes:
+    """The links, type and device name in the RawMessage of an entry, with the padding behind them."""
+    return bytes(memoryview(data)[_RAW_HEAD.size : len(data) - entry.size - _U32.size])
 
 
 def unpack_note(data: Buffer, seq: int, log_ns: int) -> Entry:

@@ -14,15 +14,27 @@ import heapq
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from itertools import pairwise
-from typing import IO
+from itertools import chain, pairwise
+from typing import IO, TypeVar
+
+import numpy as np
 
 from igtl_gateway.base.untrusted import limits
-from igtl_gateway.record.sessionfile.chunks import BATCH, SMALL_BYTES, Row, batches, packed_chunk
+from igtl_gateway.record.sessionfile.chunk_columns import Columns, Row, count_of
+from igtl_gateway.record.sessionfile.chunks import (
+    BATCH,
+    SMALL_BYTES,
+    PackedChunk,
+    batches,
+    column_batches,
+    packed_chunk,
+)
 from igtl_gateway.record.sessionfile.contents import ChunkEntry, Index, check_work, message_bound, work_of
 
 #: Number of chunks that are read ahead; they come in pairs of input and output, so one of them is to be unpacked.
 _AHEAD = 2
+#: After all times.
+_END_NS = 1 << 64
 
 
 def message_rows(
@@ -42,53 +54,146 @@ def message_rows(
     Yields a chunk with some of its messages; a chunk with None where it is not wanted; None with messages of several
     chunks.  Raises Malformed, LimitExceeded.
     """
-    chunks = [chunk for chunk in index.chunks if chunk.end_ns >= from_ns]
-    check_work(index.size, work_of(chunks), path)
-    count, most = 0, message_bound(index.size)
+    chunks, overlap = _chosen(index, path, from_ns, _END_NS)
+    check_count = _counter(index, path)
     found: Iterator[tuple[ChunkEntry | None, list[Row] | None]]
-    if any(one.end_ns > two.start_ns for one, two in pairwise(chunks)):
+    if overlap:
         found = _merged(stream, index, chunks, path)
     else:
-        found = _in_turn(stream, chunks, path, is_wanted)
+        found = _rows_in_turn(stream, chunks, path, is_wanted)
     for chunk, rows in found:
-        count += len(rows or ())
-        limits.check_limit("count", count, f"{path}: messages", most)
+        check_count(len(rows or ()))
         if rows and rows[0][2] < from_ns:
             yield chunk, [row for row in rows if row[2] >= from_ns]
         else:
             yield chunk, rows
 
 
+def message_columns(
+    stream: IO[bytes],
+    index: Index,
+    path: str,
+    from_ns: int = 0,
+    to_ns: int = _END_NS,
+    is_wanted: Callable[[ChunkEntry], bool] = lambda _chunk: True,
+) -> Iterator[tuple[ChunkEntry | None, bytes, Columns, bool]]:
+    """The messages of a file in order of time, in columns.
+
+    Arguments as of :func:`message_rows`; chunks that begin at ``to_ns`` or later are not read, their messages may be
+    there.  Chunks that are not wanted are left out.
+
+    Yields a chunk, its records, some of its messages, and whether these are all; or None, payloads in a row, messages
+    of several chunks, and False.  Raises Malformed, LimitExceeded.
+    """
+    chunks, overlap = _chosen(index, path, from_ns, to_ns)
+    check_count = _counter(index, path)
+    if overlap:
+        for _, rows in _merged(stream, index, chunks, path):
+            check_count(len(rows))
+            yield from _joined([row for row in rows if row[2] >= from_ns])
+        return
+    for chunk, found in _in_turn(stream, chunks, path, is_wanted, _in_columns):
+        if found is None:
+            continue
+        data, some = found
+        for columns in [some] if some else column_batches(data):
+            check_count(len(columns.times))
+            is_late = columns.times >= from_ns
+            whole = some is not None and not chunk.loose and bool(is_late.all())
+            yield chunk, data, columns if is_late.all() else columns.where(is_late), whole
+
+
+def _in_columns(chunk: PackedChunk) -> tuple[bytes, Columns | None]:
+    """The records of a chunk, and all its messages if they are not too many for one batch."""
+    data = chunk.unpack()
+    if len(data) > SMALL_BYTES and count_of(data)[0] > BATCH:
+        return data, None
+    return data, next(column_batches(data))
+
+
+def _joined(rows: Sequence[Row]) -> Iterator[tuple[None, bytes, Columns, bool]]:
+    """Messages of several chunks, with their payloads in a row."""
+    parts: list[Row] = []
+    size = 0
+    for row in chain(rows, (None,)):
+        if parts and (row is None or size >= SMALL_BYTES):
+            found = Columns.empty(len(parts))
+            for number, values in enumerate(list(zip(*parts, strict=True))[:4]):
+                found[number][:] = values
+            ends = np.cumsum([stop - start for _, _, _, _, start, stop, _ in parts])
+            found.ends[:] = ends
+            found.begins[0], found.begins[1:] = 0, ends[:-1]
+            yield None, b"".join(data[start:stop] for _, _, _, _, start, stop, data in parts), found, False
+            parts, size = [], 0
+        if row is not None:
+            parts.append(row)
+            size += row[5] - row[4]
+
+
+def _chosen(index: Index, path: str, from_ns: int, to_ns: int) -> tuple[list[ChunkEntry], bool]:
+    """The chunks to be read, and whether some overlap.  Raises LimitExceeded."""
+    chunks = [chunk for chunk in index.chunks if chunk.end_ns >= from_ns and chunk.start_ns < to_ns]
+    check_work(index.size, work_of(chunks), path)
+    return chunks, any(one.end_ns > two.start_ns for one, two in pairwise(chunks))
+
+
+def _counter(index: Index, path: str) -> Callable[[int], None]:
+    """What is called with the number of messages that are taken.  It raises LimitExceeded."""
+    count, most = 0, message_bound(index.size)
+
+    def check(messages: int) -> None:
+        nonlocal count
+        count += messages
+        limits.check_limit("count", count, f"{path}: messages", most)
+
+    return check
+
+
+_Found = TypeVar("_Found")
+
+
 def _in_turn(
-    stream: IO[bytes], chunks: Sequence[ChunkEntry], path: str, is_wanted: Callable[[ChunkEntry], bool]
-) -> Iterator[tuple[ChunkEntry, list[Row] | None]]:
-    """One chunk after the other."""
-    waiting: deque[tuple[ChunkEntry, Future[bytes] | None]] = deque()
+    stream: IO[bytes],
+    chunks: Sequence[ChunkEntry],
+    path: str,
+    is_wanted: Callable[[ChunkEntry], bool],
+    work: Callable[[PackedChunk], _Found],
+) -> Iterator[tuple[ChunkEntry, _Found | None]]:
+    """One chunk after the other, with what a thread makes of it; None for those that are not wanted."""
+
+    def first() -> tuple[ChunkEntry, _Found | None]:
+        chunk, made = waiting.popleft()
+        return chunk, None if made is None else made.result()
+
+    waiting: deque[tuple[ChunkEntry, Future[_Found] | None]] = deque()
     thread = ThreadPoolExecutor(1, "igtl-unpack")
     try:
         for chunk in chunks:
             while waiting and (len(waiting) > _AHEAD or chunk.size > SMALL_BYTES):
-                yield from _taken(*waiting.popleft())
-            unpacking = None
+                yield first()
+            made = None
             if is_wanted(chunk):
                 # read here: the position of the stream belongs to this thread
-                unpacking = thread.submit(packed_chunk(stream, chunk, path).unpack)
-            waiting.append((chunk, unpacking))
+                made = thread.submit(work, packed_chunk(stream, chunk, path))
+            waiting.append((chunk, made))
             if chunk.size > SMALL_BYTES:
-                yield from _taken(*waiting.popleft())
+                yield first()
         while waiting:
-            yield from _taken(*waiting.popleft())
+            yield first()
     finally:
         # the garbage collection may do this in any thread, under any lock of the interpreter: nothing is waited for
         thread.shutdown(wait=False, cancel_futures=True)
 
 
-def _taken(chunk: ChunkEntry, unpacking: Future[bytes] | None) -> Iterator[tuple[ChunkEntry, list[Row] | None]]:
-    if unpacking is None:
-        yield chunk, None
-        return
-    for rows in batches(unpacking.result()):
-        yield chunk, rows
+def _rows_in_turn(
+    stream: IO[bytes], chunks: Sequence[ChunkEntry], path: str, is_wanted: Callable[[ChunkEntry], bool]
+) -> Iterator[tuple[ChunkEntry, list[Row] | None]]:
+    for chunk, data in _in_turn(stream, chunks, path, is_wanted, PackedChunk.unpack):
+        if data is None:
+            yield chunk, None
+            continue
+        for rows in batches(data):
+            yield chunk, rows
 
 
 def _merged(

@@ -26,7 +26,7 @@ from igtl_gateway.base.untrusted import files, limits
 from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile import facts, layout, migrations, records
-from igtl_gateway.record.sessionfile.bulk import ChunkReader, MessageBlock, Unfit, blocks_of_entries
+from igtl_gateway.record.sessionfile.bulk import ChunkReader, MessageBlock, Unusable, blocks_of_entries
 from igtl_gateway.record.sessionfile.channels import (
     SEQUENCES,
     ChannelSummary,
@@ -38,7 +38,8 @@ from igtl_gateway.record.sessionfile.channels import (
     kind_of,
     next_seq,
 )
-from igtl_gateway.record.sessionfile.chunks import Row
+from igtl_gateway.record.sessionfile.chunk_columns import Row
+from igtl_gateway.record.sessionfile.columns import END_NS, ColumnsReader, EntryColumns, Stream, Unfit, mask_of
 from igtl_gateway.record.sessionfile.contents import ChunkEntry
 from igtl_gateway.record.sessionfile.definition import Definition, FileDefinitions, another_definition
 from igtl_gateway.record.sessionfile.index import read_index, read_record, recover_hint
@@ -46,7 +47,7 @@ from igtl_gateway.record.sessionfile.index_check import damaged_indexes
 from igtl_gateway.record.sessionfile.layout import LayoutError
 from igtl_gateway.record.sessionfile.lookup import LatchedStateRule, look_up
 from igtl_gateway.record.sessionfile.merged import MERGE_METADATA, Merge, extract_part, parse_merge
-from igtl_gateway.record.sessionfile.order import message_rows
+from igtl_gateway.record.sessionfile.order import message_columns, message_rows
 from igtl_gateway.record.sessionfile.records import Malformed
 from igtl_gateway.record.sessionfile.side_file import part_files
 
@@ -220,7 +221,7 @@ class SessionFile:
                         replace(block, numbers=0 * block.numbers) if self.foreign else block for block in blocks
                     )
                 return
-            except Unfit:
+            except Unusable:
                 pass
         named = {each.stream for each in self.channels if each.kind is channel.kind}
         yield from blocks_of_entries(
@@ -232,6 +233,47 @@ class SessionFile:
             and (is_wire or entry.type == channel.type)
         )
 
+    def columns(
+        self, start_ns: int = 0, end_ns: int = END_NS, wanted: Callable[[Stream], bool] = lambda _: True
+    ) -> Iterator[EntryColumns]:
+        """The entries of the wanted streams in columns, from ``start_ns`` on and before ``end_ns`` (UTC).
+
+        Chunks outside of the times are not read, and those that hold none of the streams are not unpacked.  Raises
+        `Unfit` at the call where only `entries` can read the file; then as `entries`, but payloads are not looked into.
+        """
+        if self.format_version != layout.FORMAT_VERSION:
+            raise Unfit
+        return self._columns(start_ns, end_ns, wanted)
+
+    def _columns(self, start_ns: int, end_ns: int, wanted: Callable[[Stream], bool]) -> Iterator[EntryColumns]:
+        streams = {number: Stream(*each, self._index.channels[number].topic) for number, each in self._streams.items()}
+        chosen = {number for number, stream in streams.items() if wanted(stream)}
+        reader = ColumnsReader(
+            str(self.path), recover_hint(self.path), streams, self._decoders, self._known, counted=self.foreign
+        )
+
+        def is_wanted(chunk: ChunkEntry) -> bool:
+            # without an index of its messages, a chunk may hold any
+            return not chunk.places or self.foreign or not chosen.isdisjoint(chunk.channels)
+
+        # entries of other programs are counted from the first one on
+        first_ns, last_ns = (0, END_NS) if self.foreign else (start_ns, end_ns)
+        count = 0
+        with self._damage_in("entries"):
+            found = message_columns(self._stream, self._index, str(self.path), first_ns, last_ns, is_wanted)
+            for chunk, data, columns, whole in found:
+                some, fault = reader.columns(chunk, data, columns, whole=whole)
+                inside = mask_of(some.channels, chosen)
+                inside &= (some.times >= start_ns) & (some.times < end_ns)
+                some = some if inside.all() else some.where(inside)
+                count += len(some)
+                if len(some):
+                    yield some
+                if fault:
+                    raise DamagedRecording(f"{self.path}: {fault}{recover_hint(self.path)}")
+        if not start_ns and end_ns >= END_NS:
+            self._check_count(count, sum(self._index.counts.get(number, 0) for number in chosen))
+
     def span(self, channel: ChannelSummary) -> tuple[int, int]:
         """Times of the first and the last message of one of ``channels``, UTC ns; (0, 0) without any.
 
@@ -242,7 +284,7 @@ class SessionFile:
         try:
             with self._damage_in(f"index of {channel.stream or channel.topic}"):
                 return self._chunks.span(self._numbers_of(channel))
-        except Unfit:
+        except Unusable:
             first = last = 0
             for block in self.blocks(channel):
                 first, last = first or int(block.times[0]), int(block.times[-1])
@@ -625,6 +667,26 @@ class SessionParts(SessionFile):
             if each.entries and each.end_ns >= start_ns and each.start_ns < end_ns:
                 with SessionFile.open(each.path) as part:
                     yield from part.blocks(channel, start_ns, end_ns)
+
+    def columns(
+        self, start_ns: int = 0, end_ns: int = END_NS, wanted: Callable[[Stream], bool] = lambda _: True
+    ) -> Iterator[EntryColumns]:
+        """As SessionFile.columns; parts outside of the times are not opened."""
+        if self.format_version != layout.FORMAT_VERSION:
+            raise Unfit
+        return self._columns(start_ns, end_ns, wanted)
+
+    def _columns(self, start_ns: int, end_ns: int, wanted: Callable[[Stream], bool]) -> Iterator[EntryColumns]:
+        seq = 0
+        for each in self.parts:
+            if each.end_ns < start_ns or (each.start_ns >= end_ns and each.entries):
+                continue
+            with SessionFile.open(each.path) as part:
+                for columns in part.columns(start_ns, end_ns, wanted):
+                    if (first := int(columns.numbers[0])) <= seq:
+                        raise DamagedRecording(f"{each.path}: found entry number {first}, expected one above {seq}")
+                    seq = int(columns.numbers[-1])
+                    yield columns
 
     def span(self, channel: ChannelSummary) -> tuple[int, int]:
         """As SessionFile.span; the parts between the first and the last one with the stream are not opened."""

@@ -11,7 +11,8 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.bulk import MessageBlock
 from igtl_gateway.record.sessionfile.channels import ChannelSummary, joined
-from igtl_gateway.record.sessionfile.chunks import Row
+from igtl_gateway.record.sessionfile.chunk_columns import Row
+from igtl_gateway.record.sessionfile.columns import END_NS, EntryColumns, Stream
 from igtl_gateway.record.sessionfile.definition import Definition
 from igtl_gateway.record.sessionfile.lookup import LatchedStateRule
 from igtl_gateway.record.sessionfile.reader import SessionFile
@@ -77,6 +78,13 @@ class SessionWithState(SessionFile):
             yield from self.before.blocks(channel, start_ns, end_ns)
         if _key(channel) in self._own:
             yield from self.itself.blocks(channel, start_ns, end_ns)
+
+    def columns(
+        self, start_ns: int = 0, end_ns: int = END_NS, wanted: Callable[[Stream], bool] = lambda _: True
+    ) -> Iterator[EntryColumns]:
+        """As SessionFile.columns."""
+        files = (self.before, self.itself)
+        return chain.from_iterable([file.columns(start_ns, end_ns, wanted) for file in files])
 
     def span(self, channel: ChannelSummary) -> tuple[int, int]:
         """As SessionFile.span."""

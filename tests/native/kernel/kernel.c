@@ -11,6 +11,7 @@
 #include "_bulk_to_igtl.h"
 #include "_bulk_to_ros.h"
 #include "_queue.h"
+#include "_records.h"
 
 static int failures;
 
@@ -523,6 +524,119 @@ static void test_queue(void)
     free(memory);
 }
 
+/* -- records of MCAP --------------------------------------------------------------------------------------------------- */
+
+static void put_record(uint8_t *at, uint8_t opcode, uint64_t length)
+{
+    at[0] = opcode;
+    memcpy(at + 1, &length, 8);
+}
+
+static void test_records(void)
+{
+    enum { SIZE = 12 + 31 + 34 };
+    uint8_t *data = bytes_of(SIZE);
+    const uint64_t times[] = {9, 4};
+    const uint16_t channel = 513;
+    put_record(data, 3, 3);
+    for (int i = 0; i < 2; i++) {
+        uint8_t *record = data + 12 + 31 * i;
+        put_record(record, MESSAGE, (uint64_t)(MESSAGE_HEAD + 3 * i));
+        memcpy(record + RECORD_HEAD, &channel, 2);
+        memcpy(record + RECORD_HEAD + TIME_AT, &times[i], 8);
+        memcpy(record + RECORD_HEAD + PUBLISH_AT, &times[i], 8);
+    }
+    struct messages_found found = count_messages(data, SIZE);
+    CHECK(found.count == 2 && found.end == SIZE && !found.in_order && found.late == (9 | 4));
+    uint16_t channels[2];
+    uint32_t sequences[2];
+    uint64_t stamps[2], published[2];
+    int64_t begins[2], ends[2];
+    const struct message_columns rows = {channels, sequences, stamps, published, begins, ends};
+    size_t at = 0;
+    CHECK(take_messages(data, SIZE, &at, 1, &rows) == 1 && at == 43);
+    CHECK(channels[0] == 513 && stamps[0] == 9 && begins[0] == 43 && ends[0] == 43);
+    CHECK(take_messages(data, SIZE, &at, 2, &rows) == 1 && at == SIZE && begins[0] == 74 && ends[0] == SIZE);
+    for (size_t size = 0; size < SIZE; size++) { /* cut off anywhere */
+        uint8_t *cut = bytes_of((ssize_t)size);
+        memcpy(cut, data, size);
+        found = count_messages(cut, size);
+        CHECK(found.end == (size < 12 ? 0u : size < 43 ? 12u : 43u) && found.count == (size >= 43));
+        free(cut);
+    }
+    put_record(data + 12, MESSAGE, MESSAGE_HEAD - 1); /* a message without all of its fields */
+    CHECK(count_messages(data, SIZE).end == 12);
+    put_record(data, 3, UINT64_MAX); /* a length that would wrap around */
+    CHECK(count_messages(data, SIZE).end == 0);
+    free(data);
+}
+
+static void foreign_records(void)
+{
+    ssize_t size = (ssize_t)below(400);
+    uint8_t *data = bytes_of(size);
+    for (ssize_t at = 0; at + RECORD_HEAD <= size; at += RECORD_HEAD + (ssize_t)below(60))
+        put_record(data + at, below(3) ? MESSAGE : (uint8_t)any(), below(9) ? below(60) : any());
+    struct messages_found found = count_messages(data, (size_t)size);
+    uint16_t channels[16];
+    uint32_t sequences[16];
+    uint64_t stamps[16], published[16];
+    int64_t begins[16], ends[16];
+    const struct message_columns rows = {channels, sequences, stamps, published, begins, ends};
+    size_t at = 0, taken = take_messages(data, (size_t)size, &at, 16, &rows);
+    CHECK(taken == (found.count < 16 ? found.count : 16) && (taken == 16 || at == found.end));
+    for (size_t i = 0; i < taken; i++)
+        CHECK(begins[i] <= ends[i] && ends[i] <= size);
+    free(data);
+}
+
+/* A RawMessage with the head ``same``, whose payload has ``size`` bytes. */
+static uint8_t *raw_message(const uint8_t *same, size_t same_size, uint32_t size)
+{
+    uint8_t *raw = bytes_of((ssize_t)(RAW_HEAD + same_size + 4 + size));
+    raw[0] = 0, raw[1] = 1;
+    memcpy(raw + RAW_HEAD, same, same_size);
+    memcpy(raw + RAW_HEAD + same_size, &size, 4);
+    return raw;
+}
+
+static void test_raw_messages(void)
+{
+    const uint8_t *bytes = (const uint8_t *)"aaaabbbbbbbbcccc";
+    const int64_t offsets[] = {0, 4, 12, 16};
+    const int32_t next[] = {1, 0, 2};
+    int32_t *last = malloc(sizeof *last * 65536), head = -1;
+    if (!last)
+        exit(2);
+    for (int i = 0; i < 65536; i++)
+        last[i] = -1;
+    last[7] = 0, last[9] = 2;
+    const struct raw_heads heads = {bytes, offsets, next, last, 3};
+    for (uint32_t size = 0; size < 70; size++) {
+        uint8_t *raw = raw_message(bytes + 4, 8, size);
+        const size_t whole = RAW_HEAD + 8 + 4 + size;
+        CHECK(raw_place(raw, whole, 7, &heads, &head) == RAW_HEAD + 12 && head == 1 && last[7] == 1);
+        CHECK(raw_place(raw, whole, 9, &heads, &head) == 0 && last[9] == 2); /* of another channel */
+        CHECK(raw_place(raw, whole, 8, &heads, &head) == 0);
+        memset(raw + RAW_SOURCE_AT, 0, 8);
+        raw[RAW_DIRECTION_AT] = 3;
+        CHECK(raw_flags(raw) == RAW_OUTGOING);
+        raw[RAW_DIRECTION_AT] = 0, raw[RAW_SOURCE_AT + 7] = 1;
+        CHECK(raw_flags(raw) == RAW_STAMPED);
+        raw[1] = 0; /* big-endian */
+        CHECK(raw_place(raw, whole, 7, &heads, &head) == 0);
+        raw[1] = 1;
+        for (size_t cut = 0; cut < whole; cut++) {
+            uint8_t *part = bytes_of((ssize_t)cut);
+            memcpy(part, raw, cut);
+            CHECK(raw_place(part, cut, 7, &heads, &head) == 0);
+            free(part);
+        }
+        free(raw);
+    }
+    free(last);
+}
+
 int main(int count, char **words)
 {
     long rounds = count > 1 ? strtol(words[1], NULL, 10) : 20000;
@@ -542,9 +656,12 @@ int main(int count, char **words)
         test_tools();
         test_metadata();
         test_queue();
+        test_records();
+        test_raw_messages();
         for (long i = 0; i < rounds; i++) {
             foreign_igtl();
             foreign_ros();
+            foreign_records();
         }
     }
     test_both_loops();

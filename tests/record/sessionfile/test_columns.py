@@ -1,0 +1,198 @@
+"""Columns against entries one by one: sound files, chunks that overlap, and mutants, refused with the same line."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from igtl_gateway.base.errors import DamagedRecording, GatewayError
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile import chunks, order
+from igtl_gateway.record.sessionfile.columns import EntryColumns, Stream, Unfit, WireHead
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.writer import SessionWriter
+from tests.places import FIXTURES
+from tests.record import samples
+from tests.record.sessionfile.test_index import DEFINITIONS, bag, messages
+from tests.tables import table
+from tools import mcap_mutations
+from tools.mcap_build import Chunk
+
+#: Mutants that the gate reads twice.
+CASES = 300
+
+
+def fields(entry: Entry) -> tuple[object, ...]:
+    return (
+        entry.seq, entry.stamp_ns, entry.kind, entry.channel, entry.type, bytes(entry.data()), entry.links,
+        entry.source_ns,
+    )  # fmt: skip
+
+
+def by_columns(file: SessionFile) -> Iterator[tuple[object, ...]]:
+    """The fields of all entries: those of messages from the columns, notes from objects."""
+    for columns in file.columns():
+        yield from fields_of(columns)
+
+
+def fields_of(columns: EntryColumns) -> list[tuple[object, ...]]:
+    wire = columns.wire()
+    places = {row: place for place, row in enumerate(wire.rows.tolist())}
+    sources = columns.source_times()
+    found: list[tuple[object, ...]] = []
+    for row in range(len(columns)):
+        stream = columns.streams[int(columns.channels[row])]
+        number, time_ns = int(columns.numbers[row]), int(columns.times[row])
+        if row in places:
+            at = places[row]
+            head = wire.known[int(wire.heads[at])]
+            kind = Kind.IGTL_OUT if wire.outgoing[at] else Kind.IGTL_IN
+            data = columns.data[int(wire.begins[at]) : int(wire.ends[at])]
+            found.append((number, time_ns, kind, head.channel, head.type, data, head.links, int(wire.source_times[at])))
+        elif stream.kind in (Kind.ROS_IN, Kind.ROS_OUT):
+            data = bytes(columns.payload(row))
+            found.append((number, time_ns, stream.kind, stream.channel, stream.type, data, (), int(sources[row])))
+        else:
+            found.append(fields(columns.entry(row)))
+    return found
+
+
+def read_both(path: Path) -> tuple[object, object]:
+    """Entries and the refusal behind them, as each way finds them."""
+
+    def drained(rows: Iterator[object]) -> tuple[list[object], str]:
+        found: list[object] = []
+        try:
+            found.extend(rows)
+        except GatewayError as error:
+            return found, f"{type(error).__name__}: {error}"
+        return found, ""
+
+    with SessionFile.open(path) as file:
+        one = drained(map(fields, file.entries()))
+        objects = drained(fields(entry) for columns in file.columns() for entry in columns.entries())
+        other = drained(by_columns(file))
+    assert objects == one
+    if other != one:  # a message that is not as its fields state is found before those before it in the chunk
+        assert other[1] == one[1] and other[0] == one[0][: len(other[0])] and "entry" in one[1]
+    return one
+
+
+@table("path", sorted(FIXTURES.glob("*.mcap")))
+def test_columns_are_the_entries(path: Path) -> None:
+    found, why = read_both(path)
+    assert found and not why
+
+
+@table("small", [0, 8 << 20])
+@table("seed", range(6))
+def test_chunks_that_overlap_or_are_large(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small: int, seed: int
+) -> None:
+    for module in (chunks, order):
+        monkeypatch.setattr(module, "SMALL_BYTES", small)
+        monkeypatch.setattr(module, "BATCH", 7)
+    chance = random.Random(seed)
+    parts = []
+    for _ in range(6):
+        stamps = [chance.randrange(0, 60 if seed % 2 else 1000) for _ in range(chance.randrange(1, 30))]
+        parts.append(Chunk((*DEFINITIONS, *messages(*stamps)), chance.choice(("", "lz4", "zstd"))))
+    (tmp_path / "a.mcap").write_bytes(bag(*parts).finish())
+    read_both(tmp_path / "a.mcap")
+
+
+@pytest.mark.slow
+def test_mutants_are_read_or_refused_alike(tmp_path: Path) -> None:
+    refused = read = 0
+    for name, data in islice(mcap_mutations.cases(52), CASES):
+        path = tmp_path / "a.mcap"
+        path.write_bytes(data)
+        try:
+            entries, why = read_both(path)
+        except GatewayError:  # already when it is opened
+            continue
+        except AssertionError as error:
+            raise AssertionError(name) from error
+        refused, read = refused + bool(why), read + bool(entries)
+    assert refused > CASES // 20 and read > CASES // 4
+
+
+def _written(path: Path, entries: list[Entry], chunk_bytes: int = 1 << 20) -> None:
+    writer = SessionWriter(path, samples.SESSION, chunk_bytes=chunk_bytes)
+    for entry in entries:
+        writer.write(entry)
+    writer.close({})
+
+
+def test_a_window_and_some_streams(tmp_path: Path) -> None:
+    path = FIXTURES / "star.mcap"
+
+    def wanted(stream: Stream) -> bool:
+        return stream.kind is Kind.IGTL_OUT and stream.type == "TRANSFORM"
+
+    with SessionFile.open(path) as file:
+        every = [entry for entry in file.entries() if entry.kind is Kind.IGTL_OUT and entry.type == "TRANSFORM"]
+        start_ns, end_ns = every[100].stamp_ns, every[300].stamp_ns
+        found = [entry for columns in file.columns(start_ns, end_ns, wanted) for entry in columns.entries()]
+        assert [fields(entry) for entry in found] == [fields(entry) for entry in every[100:300]]
+        whole = next(file.columns())
+        assert whole.complete and whole.chunk is not None and len(whole.data) == whole.chunk.size
+        assert not next(file.columns(wanted=wanted)).complete
+        mask = whole.of(wanted)
+        assert [fields(entry) for entry in whole.where(mask).entries()] == [
+            fields(entry) for entry in whole.entries() if entry.kind is Kind.IGTL_OUT and entry.type == "TRANSFORM"
+        ]
+
+
+def test_numbers_go_on_beyond_32_bits(tmp_path: Path) -> None:
+    entries = [replace(entry, seq=(1 << 32) - 3 + number) for number, entry in enumerate(samples.every_kind(3))]
+    _written(tmp_path / "a.mcap", entries, chunk_bytes=500)
+    with SessionFile.open(tmp_path / "a.mcap") as file:
+        numbers = np.concatenate([columns.numbers for columns in file.columns()])
+        assert numbers.tolist() == [entry.seq for entry in file.entries()] == [entry.seq for entry in entries]
+
+
+def test_a_number_that_repeats_is_refused_behind_those_before_it(tmp_path: Path) -> None:
+    entries = samples.every_kind(2)
+    entries[5] = replace(entries[5], seq=entries[4].seq)
+    _written(tmp_path / "a.mcap", entries)
+    found: list[int] = []
+    with SessionFile.open(tmp_path / "a.mcap") as file, pytest.raises(DamagedRecording, match="found entry number"):
+        for columns in file.columns():
+            found += columns.numbers.tolist()
+    assert found == [entry.seq for entry in entries[:5]]
+
+
+def test_times_after_2262_are_as_they_are(tmp_path: Path) -> None:
+    late = Chunk((*DEFINITIONS, *messages(5, 1 << 63)))
+    (tmp_path / "a.mcap").write_bytes(bag(late).finish())
+    with SessionFile.open(tmp_path / "a.mcap") as file:
+        (columns,) = file.columns()
+        assert columns.times.tolist() == [5, 1 << 63]
+    read_both(tmp_path / "a.mcap")
+
+
+def test_messages_to_different_links_have_heads_of_their_own(tmp_path: Path) -> None:
+    entries = [
+        Entry(number, number * 1000, Kind.IGTL_OUT, "STRING/A", "STRING", (bytes(58),), tuple(range(number % 100)))
+        for number in range(1, 400)
+    ]
+    _written(tmp_path / "a.mcap", entries, chunk_bytes=4096)
+    with SessionFile.open(tmp_path / "a.mcap") as file:
+        wires = [columns.wire() for columns in file.columns(wanted=lambda stream: stream.kind is Kind.IGTL_OUT)]
+    found = [wire.known[head].links for wire in wires for head in wire.heads.tolist()]
+    assert found == [entry.links for entry in entries]
+    assert len(wires[0].known) == 100 and wires[0].known[0] == WireHead("STRING/A", "STRING", (0,))
+
+
+def test_a_file_of_an_older_version_is_not_read_in_columns(monkeypatch: pytest.MonkeyPatch) -> None:
+    with SessionFile.open(FIXTURES / "star.mcap") as file:
+        monkeypatch.setattr(file, "format_version", 0)
+        with pytest.raises(Unfit):
+            file.columns()
