@@ -18,10 +18,11 @@ import hashlib
 import itertools
 import math
 import shutil
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ from igtl_gateway.addon.writing import make_folder, open_new, written, written_f
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.scene_files import axes_file, pose_file, table_files
 from igtl_gateway.addons.exchange.scene_nodes import Scene, facts
-from igtl_gateway.addons.exchange.scene_reading import SURFACES, SceneReading
+from igtl_gateway.addons.exchange.scene_reading import SURFACES, NeedsParts, SceneReading
 from igtl_gateway.addons.exchange.scene_robot import Robots
 from igtl_gateway.addons.exchange.scene_store import DATA, FolderStore, Store, bundle
 from igtl_gateway.addons.exchange.scene_tracks import (
@@ -72,33 +73,108 @@ class _Again(Exception):
 
 
 def export_mrb(recording: Recording, out: Path, globs: Sequence[str], rate: float = 0.0) -> ExportAccount:
-    """Write the bundle ``out``, which must not exist.  Raises ConfigError, GatewayError, OSError.
+    """Write the bundle ``out``, which must not exist, and further ones if the pictures are more than one scene holds.
 
     ``rate``: most messages of a stream in a second; 0: as many as 3D Slicer reads in reasonable time.
+    Raises ConfigError, GatewayError, OSError.
     """
     file = _session(recording)
-    root = _stem(out)
-    for is_direct in (True, False):
-        try:
-            with written(out) as new, _digest(file) as digest:
-                with bundle(new, root) as store:
-                    account = _scene(file, globs, rate, store, f"{root}.mrml", digest, is_direct=is_direct)
-                if not any(row.taken for row in account.rows):
-                    new.unlink()
-            return account
-        except _Again:
-            continue
-    raise AssertionError
+
+    @contextmanager
+    def opened(ends: ExitStack, place: Path) -> Iterator[tuple[Store, Path]]:
+        new = ends.enter_context(written(place))
+        with bundle(new, _stem(place)) as store:
+            yield store, new
+
+    direct = _most_pictures(file)
+    if direct is not None:
+        with suppress(_Again, NeedsParts):
+            return _scenes(file, globs, rate, out, opened, direct)
+    return _scenes(file, globs, rate, out, opened)
 
 
 def export_mrml(recording: Recording, out: Path, globs: Sequence[str], rate: float = 0.0) -> ExportAccount:
-    """Write the folder ``out`` with a scene and its files.  Raises as ``export_mrb``, and for a folder with files."""
-    file = _session(recording)
-    with written_folder(out) as place, _digest(file) as digest:
-        account = _scene(file, globs, rate, FolderStore(place), f"{_stem(out)}.mrml", digest, is_direct=False)
-        if not any(row.taken for row in account.rows):
-            shutil.rmtree(place)
-    return account
+    """Write the folder ``out`` with a scene and its files, and further ones as ``export_mrb``.
+
+    Raises as that, and for a folder with files.
+    """
+
+    @contextmanager
+    def opened(ends: ExitStack, place: Path) -> Iterator[tuple[Store, Path]]:
+        new = ends.enter_context(written_folder(place))
+        yield FolderStore(new), new
+
+    return _scenes(_session(recording), globs, rate, out, opened)
+
+
+def _scenes(
+    file: SessionFile,
+    globs: Sequence[str],
+    rate: float,
+    out: Path,
+    opened: Callable[[ExitStack, Path], AbstractContextManager[tuple[Store, Path]]],
+    direct: tuple[Kind, str, str] | None = None,
+) -> ExportAccount:
+    """Write the scenes of a session: one with ``direct``, else as many as its pictures need; all of them, or none.
+
+    Raises _Again, NeedsParts.
+    """
+    reading: SceneReading | None = None
+    places, notes = list[Path](), list[str]()
+    with ExitStack() as ends, _digest(file) as digest:
+        ends.push(partial(_remove_after_error, places))
+        while True:
+            place = _part_place(out, len(places) + 1)
+            with opened(ends, place) as (store, new):
+                if reading is None:
+                    reading = SceneReading(file, globs, rate, store, direct, in_parts=direct is None)
+                else:
+                    reading.begin_part(store)
+                try:
+                    has_more = reading.read()
+                    part = f"part {len(places) + 1}, {place.name}" if places or has_more else ""
+                    writer = _SceneWriter(file, reading, store, part)
+                    if reading.tracks:
+                        writer.arrange([*reading.tracks.values()])
+                        writer.write(digest)
+                        store.write(f"{_stem(place)}.mrml", writer.scene.document())
+                finally:
+                    reading.close()
+            if not reading.tracks:
+                _remove(new)
+                break
+            places.append(place)
+            notes += writer.notes
+            if not has_more:
+                break
+    reading.account.files = len(places)
+    reading.account.notes = list(dict.fromkeys(notes)) + reading.account.notes
+    if not places:  # a robot has nothing to stand on
+        for row in reading.account.rows:
+            row.leave_out("nothing in the session moves it", row.taken)
+            row.taken = 0
+    return reading.account
+
+
+def _part_place(out: Path, number: int) -> Path:
+    """Return where a part of a scene is: the first at ``out``, the others with their number behind its name."""
+    stem, suffix = (out.name[:-4], out.name[-4:]) if out.name.lower().endswith(".mrb") else (out.name, "")
+    return out if number == 1 else out.with_name(f"{stem}-{number}{suffix}")
+
+
+def _remove_after_error(places: list[Path], kind: type[BaseException] | None, *_: object) -> None:
+    """Remove the parts that have moved to their places before another one could not."""
+    if kind is not None:
+        for place in places:
+            with suppress(OSError):
+                _remove(place)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink()
 
 
 def export_picture_sequence(recording: Recording, out: Path, globs: Sequence[str], rate: float = 0.0) -> ExportAccount:
@@ -197,35 +273,6 @@ def _clock(file: SessionFile, tracks: Sequence[Track]) -> OneClock:
     return one_clock(found)
 
 
-def _scene(
-    file: SessionFile,
-    globs: Sequence[str],
-    rate: float,
-    store: Store,
-    name: str,
-    digest: Future[str],
-    *,
-    is_direct: bool,
-) -> ExportAccount:
-    """Write the files of a scene; its document is ``name``."""
-    direct = _most_pictures(file) if is_direct and not store.direct else None
-    reading = SceneReading(file, globs, rate, store, direct)
-    try:
-        reading.read()
-        tracks = list(reading.tracks.values())
-        if not tracks:
-            return reading.account
-        writer = _SceneWriter(file, reading, store)
-        writer.arrange(tracks)
-        writer.write(digest)
-        store.write(name, writer.scene.document())
-    finally:
-        reading.close()
-    reading.account.files = 1
-    reading.account.notes = writer.notes + reading.account.notes
-    return reading.account
-
-
 def _most_pictures(file: SessionFile) -> tuple[Kind, str, str] | None:
     """Return the received stream with most pictures."""
     pictures = [each for each in file.channels if each.entry_type in PICTURES and each.count]
@@ -236,8 +283,9 @@ def _most_pictures(file: SessionFile) -> tuple[Kind, str, str] | None:
 class _SceneWriter:
     """Writes the nodes and files of arranged tracks."""
 
-    def __init__(self, file: SessionFile, reading: SceneReading, store: Store) -> None:
-        self._file, self._reading, self._store = file, reading, store
+    def __init__(self, file: SessionFile, reading: SceneReading, store: Store, part: str) -> None:
+        """``part``: names the part that it is, ``""`` of a whole session."""
+        self._file, self._reading, self._store, self._part = file, reading, store, part
         self.scene = Scene()
         self.notes: list[str] = []
         self._played: list[tuple[str, str, Track]] = []
@@ -258,10 +306,12 @@ class _SceneWriter:
         moving = [track for track in tracks if not (isinstance(track, PoseTrack) and track.static)]
         clock = self._clock = _clock(self._file, moving)
         times = [clock.times(track.stream_times(), number) for number, track in enumerate(moving)]
-        self.begin_ns = min((int(each.min()) for each in times), default=0)
-        self.end_ns = max((int(each.max()) for each in times), default=0)
+        since_ns = self._reading.since_ns
+        own = [each[~track.carried(since_ns)] for track, each in zip(moving, times, strict=True)]
+        self.begin_ns = min((int(each.min()) for each in own if len(each)), default=0)
+        self.end_ns = max((int(each.max()) for each in own if len(each)), default=0)
         for track, each in zip(moving, times, strict=True):
-            same = track.arrange(each, self.begin_ns)
+            same = track.arrange(each, self.begin_ns, since_ns)
             if isinstance(track, PictureTrack) and track.stream is not None:
                 if track.ms[0] > 0 and not same:
                     track.stream.write(bytes(track.frame_bytes))
@@ -271,8 +321,12 @@ class _SceneWriter:
             _left_out(track, same)
         self.notes += clock.notes
         what = "stamps of the senders" if clock.name == "source" else "times of receipt"
+        at = utc_text(self.begin_ns)
+        seconds = (self.end_ns - self.begin_ns) / NS_PER_S
         self.notes.append(
-            f"index 0 of all sequences is {utc_text(self.begin_ns)}; the indexes are {what}, in s, to 1 ms"
+            f"{self._part}: index 0 is {at}, the last one {seconds:.3f} s later ({what})"
+            if self._part
+            else f"index 0 of all sequences is {at}; the indexes are {what}, in s, to 1 ms"
         )
         wanted = {id(track): printable(track.wanted) or track.type for track in self._tracks}
         names = distinct_names(wanted, lambda name: name, other=lambda name, number: f"{name} {number}")
@@ -532,7 +586,12 @@ class _SceneWriter:
             self._model(f"{track.name} axes", f"{DATA}/axes.vtk", self._poses[id(track)].node, display)
 
     def _write_marks(self) -> None:
-        marks = marks_of(self._file)
+        since_ns, until_ns = self._reading.since_ns, self._reading.until_ns
+        marks = [
+            mark
+            for mark in marks_of(self._file)
+            if mark.time_ns < until_ns and (mark.time_ns if mark.end_ns is None else mark.end_ns) >= since_ns
+        ]
         if not marks:
             return
 
@@ -664,6 +723,7 @@ class _SceneWriter:
             f"made by: igtl-gateway {session.get('igtl_gateway_version', '')}; exported by igtl-gateway {__version__}",
             f"time: {utc_text(self.begin_ns)} to {utc_text(self.end_ns)}, {seconds:.3f} s",
             "lengths: mm; coordinates as recorded, read as RAS",
+            *([f"{self._part}: at index 0 is what was there before, too; others have the rest"] if self._part else []),
             "",
             "in the scene:",
             *(f"  {row.stream} ({row.type}): {row.taken:,} of {row.declared:,}" for row in account.rows if row.taken),

@@ -92,17 +92,26 @@ _BATCH = 5_000
 _HEAD_BYTES = 4_096  # a stamp is in the first ones of a message
 _MOST_NUMBERS, _MOST_COLUMNS = 32, 512
 _MOST_CHARS = 100_000
-#: Bytes of the pictures of one scene: 3D Slicer holds all of them in memory.
+#: Bytes of the pictures of one scene: 3D Slicer holds all of them in memory, twice while it reads them.
 MOST_PIXELS = 4 << 30
 #: Paths of different names in one stream of plans: each is a line of its own.
 _MOST_PATHS = 200
 _MARKUPS = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/markups-schema-v1.0.3.json#"
+_END_NS = 1 << 63
 _ROBOT = re.compile(r"\s*<(\?xml|!--|robot\b)")
 _STATUS = b"TransformStatus"
 
 
 class TooLarge(UnsupportedRecording):
-    """A session has more pictures than a scene holds."""
+    """A session has more pictures than one sequence holds."""
+
+
+class NeedsParts(Exception):
+    """A session has more pictures than one scene holds."""
+
+
+class _Full(Exception):
+    """The next picture belongs to the next part."""
 
 
 #: Takes a message; returns the track that has it.
@@ -132,11 +141,14 @@ class SceneReading:
         rate: most messages of a stream in a second; 0: as many as 3D Slicer reads in reasonable time.
         store: where files go.
         direct: the stream of pictures that goes straight into the store: its channel; ``""``: none.
+        only_pictures: what is not one is left out.
+        in_parts: ``read`` stops where a scene is full; else it raises NeedsParts.
 
     Attributes:
         tracks: all tracks that have a message.
         robots: topic and text of each description of a robot.
         account: of the export.
+        since_ns, until_ns: gateway time of the part, UTC ns: from the first on, before the second.
     """
 
     file: SessionFile
@@ -145,7 +157,10 @@ class SceneReading:
     store: Store
     direct: tuple[Kind, str, str] | None = None
     only_pictures: bool = False
+    in_parts: bool = False
     account: ExportAccount = field(default_factory=ExportAccount)
+    since_ns: int = 0
+    until_ns: int = _END_NS
     tracks: dict[tuple[object, ...], Track] = field(default_factory=dict)
     robots: list[tuple[str, str]] = field(default_factory=list)
 
@@ -165,7 +180,15 @@ class SceneReading:
         self._path_tracks: dict[tuple[tuple[object, ...], str], ItemTrack] = {}
         counts = {(each.kind, each.stream or each.topic, each.entry_type): each.count for each in self.file.channels}
         self._counts = counts
-        self._pixels = 0
+        self._declared, self._pixels, self._has_new = 0, 0, False
+        #: The last message of each stream: the next part begins with them.
+        self._carried: dict[tuple[object, ...], tuple[Entry, _Several]] = {}
+        self._pending: tuple[Entry, ExportedStream, _Several] | None = None
+        #: The track of the last input, and the name of its stream.
+        self._last: Track | None = None
+        self._written = ""
+        kinds = (*IGTL_KINDS, *ROS_KINDS)
+        self._entries = chosen_entries(self.file, kinds, self.globs, self.account, on_input=self._see_input)
         #: Links that are down.
         self._gone: set[int] = set()
         #: Stream → link → the end of the key of its tracks.
@@ -174,24 +197,42 @@ class SceneReading:
 
     # -- the pass
 
-    def read(self) -> None:
-        """Read the session.  Raises GatewayError, OSError."""
-        kinds = (*IGTL_KINDS, *ROS_KINDS)
-        last: Track | None = None
-        written = ""
+    def read(self) -> bool:
+        """Read the session, or its next part; return whether there is another part.
 
-        def on_input(entry: Entry) -> None:
-            nonlocal last, written
-            last, written = None, ""
-            if entry.kind is Kind.LINK:
-                self._see_link(entry)
+        Raises NeedsParts, GatewayError, OSError.
+        """
+        is_full = False
+        try:
+            self._read()
+        except _Full:
+            is_full = True
+        for key_of_poses in list(self._waiting):
+            self._decode(key_of_poses)
+        self._join_links()
+        self._join_frames()
+        self._name_lanes()
+        for name, track in list(self.tracks.items()):
+            if not track.times:
+                self._drop(name, track)
+        return is_full
 
-        for entry in chosen_entries(self.file, kinds, self.globs, self.account, on_input=on_input):
+    def _see_input(self, entry: Entry) -> None:
+        self._last, self._written = None, ""
+        if entry.kind is Kind.LINK:
+            self._see_link(entry)
+
+    def _read(self) -> None:
+        """Take the messages up to the end, or to a picture that is too many.  Raises _Full, NeedsParts."""
+        if self._pending is not None:
+            pending, self._pending = self._pending, None
+            self._take(*pending)
+        for entry in self._entries:
             key = (entry.kind, entry.channel, entry.type)
-            if written and not entry.kind.is_input:
-                self.account.row(entry).leave_out(f"copies of {written}; --streams selects them alone")
-                if last is not None and not last.frame:
-                    _learn(last, entry)
+            if self._written and not entry.kind.is_input:
+                self.account.row(entry).leave_out(f"copies of {self._written}; --streams selects them alone")
+                if self._last is not None and not self._last.frame:
+                    _learn(self._last, entry)
                 continue
             several = self._kinds.get(key)
             if several is None:
@@ -202,28 +243,56 @@ class SceneReading:
             row = self.account.row(entry)
             if entry.kind is Kind.IGTL_IN:
                 self._links.setdefault(key, Interleaving()).add(entry.links)
-            if not several.pace.passes(entry.source_ns or entry.stamp_ns):
+            if several.pace.passes(entry.source_ns or entry.stamp_ns):
+                self._take(entry, row, several)
+            else:
                 row.leave_out(several.pace.why)
                 if entry.kind.is_input:
-                    written = entry.channel
-                continue
-            try:
-                last = several.take(entry, row)
-            except TooLarge:
-                raise
-            except Exception as error:  # decoding raises many types of errors; only this message is left out
-                row.fail(failure_text(error))
-                continue
-            if entry.kind.is_input:
-                written = entry.channel
-        for key_of_poses in list(self._waiting):
-            self._decode(key_of_poses)
-        self._join_links()
-        self._join_frames()
-        self._name_lanes()
-        for name, track in list(self.tracks.items()):
-            if not track.times:
-                self._drop(name, track)
+                    self._written = entry.channel
+
+    def _take(self, entry: Entry, row: ExportedStream, several: _Several) -> None:
+        """Take a message of a stream of the scene.  Raises _Full, NeedsParts."""
+        assert several.take is not None
+        taken = row.taken
+        try:
+            self._last = several.take(entry, row)
+        except (NeedsParts, TooLarge):
+            raise
+        except _Full:
+            self._pending, self.until_ns = (entry, row, several), entry.stamp_ns
+            raise
+        except Exception as error:  # decoding raises many types of errors; only this message is left out
+            row.fail(failure_text(error))
+            return
+        if entry.kind.is_input:
+            self._written = entry.channel
+        # poses are counted when they are decoded
+        if self.in_parts and (row.taken > taken or (several.take == self._pose and not _is_invalid(entry))):
+            self._carried[entry.kind, entry.channel, entry.type, entry.links, _frames(entry)] = (entry, several)
+
+    def begin_part(self, store: Store) -> None:
+        """Begin the next part: with the last message of each stream, which 3D Slicer would go on to show."""
+        self.store, self.since_ns, self.until_ns = store, self.until_ns, _END_NS
+        before, account = self.tracks, self.account
+        self.tracks, self.account = {}, ExportAccount()
+        self._files, self._pixels, self._has_new = FreeNames(), 0, False
+        self.robots.clear()
+        self._shown.clear()
+        self._path_tracks.clear()
+        for entry, several in self._carried.values():
+            early = replace(entry, stamp_ns=min(entry.stamp_ns, self.since_ns - 1))
+            assert several.take is not None
+            several.take(early, self.account.row(early))
+        for key in list(self._waiting):
+            self._decode(key)
+        for name, track in self.tracks.items():
+            if (known := before.get(name)) is not None:
+                track.frame = track.frame or known.frame
+            if isinstance(track, PoseTrack) and isinstance(known, PoseTrack):
+                track.child = track.child or known.child
+            if isinstance(track, ItemTrack) and isinstance(known, ItemTrack):
+                track.colour = track.colour or known.colour
+        self.account = account
 
     def _drop(self, key: tuple[object, ...], track: Track) -> None:
         """Forget a track without a message."""
@@ -441,7 +510,7 @@ class SceneReading:
         key = self._key(entry)
         track: PictureTrack = self._new(entry, PictureTrack, key)
         if track.stream is None:
-            if len(key) == 3:  # with all peers
+            if len(key) == 3 and not self.in_parts:  # with all peers
                 self._check_size(entry, image)
             name = self._files.take(_token(track.wanted))
             track.file = f"{DATA}/{name}.raw"
@@ -452,6 +521,7 @@ class SceneReading:
         if why := track.mismatch(image):
             row.fail(why)
             return None
+        self._check_room(entry, image)
         if entry.kind in ROS_KINDS and not track.frame:
             track.frame = frame_id_of(entry)
         track.add_time(entry, self._stamp(entry))
@@ -461,18 +531,27 @@ class SceneReading:
         return track
 
     def _check_size(self, entry: Entry, image: Image) -> None:
-        """Count the pixels of a stream, by its first picture.  Raises TooLarge."""
+        """Count the pixels of a stream, by its first picture.  Raises NeedsParts; for one sequence ConfigError."""
         key = (entry.kind, entry.channel, entry.type)
         count, pace = self._counts.get(key, 1), self._kinds[key].pace
         if pace.period_ns:
             count = min(count, self._span_ns // pace.period_ns + 1)
-        self._pixels += count * image.expected_bytes
-        if self._pixels > MOST_PIXELS:
+        self._declared += count * image.expected_bytes
+        if self._declared <= MOST_PIXELS:
+            return
+        if self.only_pictures:
             raise TooLarge(
-                f"{self.file.path}: found {self._pixels:,} bytes of pictures up to {entry.channel}, expected at most "
-                f"{MOST_PIXELS:,} in one scene: igtl-gateway slice --start S --end S makes parts of a session; "
-                "--rate and --streams leave pictures out"
+                f"{self.file.path}: found {self._declared:,} bytes of pictures up to {entry.channel}, expected at most "
+                f"{MOST_PIXELS:,} in one sequence: --to mrb makes several scenes of them; --rate leaves pictures out"
             )
+        raise NeedsParts
+
+    def _check_room(self, entry: Entry, image: Image) -> None:
+        """Count the pixels of a picture.  Raises _Full, NeedsParts where the scene has others already."""
+        self._pixels += image.expected_bytes
+        if self._pixels > MOST_PIXELS and self._has_new and not self.only_pictures:
+            raise _Full if self.in_parts else NeedsParts
+        self._has_new = entry.stamp_ns >= self.since_ns  # what is carried is earlier
 
     # -- items
 
@@ -742,6 +821,13 @@ def frame_id_of(entry: Entry) -> str:
     if not 0 < length <= 256 or len(data) < 16 + length:
         return ""
     return bytes(data[16 : 15 + length]).decode("utf-8", "replace")
+
+
+def _frames(entry: Entry) -> tuple[str, ...]:
+    """Return the frames of a message with the poses of several: each of its senders has others."""
+    if entry.type != TFMessage.TYPE:
+        return ()
+    return tuple(child for _, child, _, _ in transforms_of(memoryview(entry.data())))
 
 
 def _is_invalid(entry: Entry) -> bool:

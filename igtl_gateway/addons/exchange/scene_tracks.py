@@ -105,14 +105,26 @@ class Track:
         stamps = stamps if np.any(stamps) else np.array(self.sources, np.int64)
         return StreamTimes(self.source, np.array(self.times, np.int64), stamps, self.sender)
 
-    def arrange(self, times: Times, begin_ns: int) -> int:
-        """Give each message its index; return the number of those whose millisecond another one has."""
+    def carried(self, since_ns: int) -> Array:
+        """Return which messages are from before a part that begins at this gateway time."""
+        return np.array(self.times, np.int64) < since_ns
+
+    def arrange(self, times: Times, begin_ns: int, since_ns: int = 0) -> int:
+        """Give each message its index; return the number of those whose millisecond another one has.
+
+        Args:
+            times: of the messages, UTC ns.
+            begin_ns: index 0.
+            since_ns: gateway time at which the part begins: what is from before is at index 0, and not counted.
+        """
         ms = (times - begin_ns + NS_PER_MS // 2) // NS_PER_MS
-        order = np.argsort(ms, kind="stable")
+        carried = self.carried(since_ns)
+        ms[carried] = 0
+        order = np.lexsort((~carried, ms))
         ms = ms[order]
         last = np.append(ms[1:] != ms[:-1], True)[: len(ms)]
         self.order, self.ms = order[last], ms[last]
-        return int(np.count_nonzero(~last))
+        return int(np.count_nonzero(~last & ~carried[order]))
 
 
 def index_text(ms: int) -> str:

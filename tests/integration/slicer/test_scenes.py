@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import json
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +24,7 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.image import Image
+from igtl_gateway.wire.text import String
 from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET, ENTRY_ONLY, TARGET_ONLY, Trajectories
 from igtl_gateway.wire.transform import Transform
 from tests import slicer
@@ -57,15 +61,7 @@ def scene_of(recording: Path, cache: Path, globs: tuple[str, ...] = ()) -> Any:
     out = recording.with_suffix(".mrb")
     with SessionFile.open(recording) as file:
         export_to("mrb", file, out, globs)
-    scene = slicer.new_scene(cache)
-    logic = slicer.slicer().vtkSlicerSequencesLogic()
-    with slicer.log_of():  # it registers nodes again
-        logic.SetMRMLScene(scene)
-    scene.AddNewNodeByClass("vtkMRMLSelectionNode")  # of the program
-    with slicer.log_of() as log:
-        assert scene.ReadFromMRB(str(out), False)
-    assert not log, log
-    return scene
+    return read_scene(out, cache)
 
 
 def sequence(scene: Any, stream: str) -> list[tuple[int, Any]]:
@@ -198,18 +194,98 @@ def test_a_deidentified_session(tmp_path: Path) -> None:
     assert np.abs(np.array(found[-len(poses) :]) - poses.matrices).max() < 1e-6
 
 
-def test_pictures_beyond_the_bound_are_refused_at_the_first(
+PARTS = "igtl_gateway.addons.exchange.scene_reading.MOST_PIXELS"
+
+
+def text(words: bytes) -> Message:
+    return Message("STRING", "Phase", String(words))
+
+
+def in_parts(path: Path) -> Path:
+    """Ten pictures at 20 Hz, poses at 100 Hz, a pose that comes once, and strings."""
+    sent = [(50 * number, 1, Message("IMAGE", "Image", picture(number))) for number in range(10)]
+    sent += [(10 * number, 1, pose(float(number))) for number in range(46)]
+    sent += [(0, 1, pose(7.0, "Once")), (5, 1, text(b"plan")), (420, 1, text(b"cut"))]
+    return session(path, sent)
+
+
+def read_scene(out: Path, cache: Path) -> Any:
+    """A scene as 3D Slicer reads it, without a line in its log."""
+    scene = slicer.new_scene(cache)
+    logic = slicer.slicer().vtkSlicerSequencesLogic()
+    with slicer.log_of():  # it registers nodes again
+        logic.SetMRMLScene(scene)
+    scene.AddNewNodeByClass("vtkMRMLSelectionNode")  # of the program
+    with slicer.log_of() as log:
+        if out.suffix == ".mrb":
+            assert scene.ReadFromMRB(str(out), False)
+        else:
+            scene.SetURL(str(out / f"{out.name}.mrml"))
+            assert scene.Import()
+    assert not log, log
+    return scene
+
+
+@pytest.mark.parametrize("to", ["mrb", "mrml"])
+def test_more_pictures_than_a_scene_holds_are_parts_that_open_alone(
+    to: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = in_parts(tmp_path / "long.mcap")
+    monkeypatch.setattr(PARTS, 5 * 24)
+    suffix = ".mrb" if to == "mrb" else ""
+    outs = [tmp_path / "out" / f"a{number}{suffix}" for number in ("", "-2", "-3")]
+    outs[0].parent.mkdir()
+    assert main(["export", str(recording), "--to", to, "-o", str(outs[0]), "--json"]) == 0
+    account = json.loads(capsys.readouterr().out)
+    assert sorted(outs[0].parent.iterdir()) == sorted(outs)
+    assert account["files"] == 3 and {(row["stream"], row["found"], row["exported"]) for row in account["rows"]} == {
+        ("IMAGE/Image", 10, 10), ("TRANSFORM/Tool", 46, 46), ("TRANSFORM/Once", 1, 1), ("STRING/Phase", 2, 2),
+    }  # fmt: skip
+    for number, out in enumerate(outs, 1):
+        assert any(f"part {number}, {out.name}: index 0 is 2023-11-14" in note for note in account["notes"])
+    # the second and third one begin with a copy of the picture before them, so four of their five are new
+    begins, ends = [0, 250, 450], [240, 440, 450]
+    phases = [{0: "", 5: "plan"}, {0: "plan", 170: "cut"}, {0: "cut"}]
+    for number, (out, begin, end, phase) in enumerate(zip(outs, begins, ends, phases, strict=True), 1):
+        scene = read_scene(out, tmp_path / f"cache{number}")
+        movement = places(sequence(scene, "in:TRANSFORM/Tool"))
+        assert movement == pytest.approx({at - begin: at / 10 for at in range(begin, end + 1, 10)}, abs=1e-9)
+        assert places(sequence(scene, "in:TRANSFORM/Once")) == {0: 7.0}
+        pixels = {at: int(slicer.voxels(node).max()) for at, node in sequence(scene, "in:IMAGE/Image")}
+        assert pixels == {at - begin: at // 50 for at in range(begin, end + 1, 50)}
+        assert {at: node.GetText() for at, node in sequence(scene, "in:STRING/Phase")} == phase
+        about = scene.GetFirstNodeByName("About this scene")
+        assert f"part {number}, {out.name}" in about.GetText()
+
+
+def test_no_part_is_left_of_an_export_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recording, out = in_parts(tmp_path / "long.mcap"), tmp_path / "out"
+    monkeypatch.setattr(PARTS, 5 * 24)
+    out.mkdir()
+    (out / "a-3.mrb").write_bytes(b"mine")
+    assert main(["export", str(recording), "--to", "mrb", "-o", str(out / "a.mrb")]) == 2
+    assert [each.name for each in out.iterdir()] == ["a-3.mrb"]
+    (out / "a-3.mrb").unlink()
+
+    def full(old: Path, new: Path, *, overwrite: bool) -> None:
+        if new.name == "a.mrb":
+            raise OSError(errno.ENOSPC, "No space left on device")
+        os.rename(old, new)
+
+    monkeypatch.setattr("igtl_gateway.record.sessionfile.whole_files._move", full)
+    assert main(["export", str(recording), "--to", "mrb", "-o", str(out / "a.mrb")]) != 0
+    assert not list(out.iterdir())
+
+
+def test_one_sequence_with_more_pictures_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    sent = [(50 * number, 1, Message("IMAGE", "Image", picture(number))) for number in range(10)]
-    recording = session(tmp_path / "long.mcap", sent)
-    monkeypatch.setattr("igtl_gateway.addons.exchange.scene_reading.MOST_PIXELS", 5 * 24)
-    for to, out in (("mrb", "a.mrb"), ("mrml", "a"), ("seq.nrrd", "a.seq.nrrd")):
-        assert main(["export", str(recording), "--to", to, "-o", str(tmp_path / out)]) == 2
-        (line,) = capsys.readouterr().err.splitlines()
-        assert "found 240 bytes of pictures" in line and "expected at most 120" in line
-        assert "igtl-gateway slice --start S --end S" in line and "--rate" in line
+    recording = in_parts(tmp_path / "long.mcap")
+    monkeypatch.setattr(PARTS, 5 * 24)
+    assert main(["export", str(recording), "--to", "seq.nrrd", "-o", str(tmp_path / "a.seq.nrrd")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "found 240 bytes of pictures" in line and "expected at most 120" in line and "--to mrb" in line
     assert [each.name for each in tmp_path.iterdir()] == ["long.mcap"]
-    assert main(["export", str(recording), "--to", "mrb", "-o", str(tmp_path / "a.mrb"), "--rate", "10"]) == 0
+    assert main(["export", str(recording), "--to", "seq.nrrd", "-o", str(tmp_path / "a.seq.nrrd"), "--rate", "10"]) == 0
     with SessionFile.open(recording) as file, pytest.raises(TooLarge):
-        export_to("mrb", file, tmp_path / "b.mrb", ())
+        export_to("seq.nrrd", file, tmp_path / "b.seq.nrrd", ())
