@@ -124,14 +124,17 @@ class Slice:
             tried.append(self._tried(depth))
             if not tried[-1].differing:
                 break
-        self._depth = min(tried, key=lambda report: report.differing).depth
+        self._found = min(tried, key=lambda report: report.differing)
+        self._depth = self._found.depth
         #: The report, complete at the end of :meth:`entries`.
         self.report = SliceReport(self._depth)
 
     def entries(self) -> Iterator[Entry]:
         """Yield the entries of the slice."""
         self.report = SliceReport(self._depth)
-        return self._cut(self.report, rewrite=bool(self._window.globs))
+        rewrite = bool(self._window.globs) and self._found.differing > 0
+        # what the window computes is known from the trial, and only its outputs that differ are needed
+        return self._cut(self.report, rewrite=rewrite, known=None if rewrite else self._found)
 
     def before(self) -> list[Entry]:
         """Return the prologue of the slice: what the state needs of that of the session."""
@@ -143,8 +146,13 @@ class Slice:
             pass
         return report
 
-    def _cut(self, report: SliceReport, *, rewrite: bool) -> Iterator[Entry]:
-        """Yield the entries at the depth of ``report`` and count them; ``rewrite``: compute groups that differ."""
+    def _cut(self, report: SliceReport, *, rewrite: bool, known: SliceReport | None = None) -> Iterator[Entry]:
+        """Yield the entries at the depth of ``report`` and count them.
+
+        Args:
+            rewrite: compute the outputs of groups that differ.
+            known: the report of an earlier pass at this depth, so that nothing is computed in the window.
+        """
         window, depth = self._window, report.depth
         session = Session(make_core(self._config, fast_path=False))
         seq, stamp_ns = 1, 0
@@ -160,12 +168,12 @@ class Slice:
                 continue
             # more outputs can be computed than recorded: later entries move, as in a live session
             moved = replace(cause, seq=seq, stamp_ns=max(cause.stamp_ns, stamp_ns + 1))
-            computed = session.recorded(moved)
+            computed = [] if inside and known else session.recorded(moved)
             outputs = computed
             extent = 1 + len(computed)
             if inside:
                 recorded = [_moved(entry, cause, moved) for entry in group.outputs]
-                differing = _differing(recorded, computed, moved.seq)
+                differing = 0 if known else _differing(recorded, computed, moved.seq)
                 report.differing += differing
                 if differing and rewrite:
                     report.computed += 1
@@ -179,7 +187,8 @@ class Slice:
             yield from outputs
             seq += extent
             stamp_ns = (outputs[-1] if outputs else moved).stamp_ns
-        report.ledger = session.gateway.ledger.to_dict()
+        report.ledger = known.ledger if known else session.gateway.ledger.to_dict()
+        report.differing = known.differing if known else report.differing
 
     def _groups_before(self, depth: Depth) -> list[InputGroup]:
         """Return the groups of the prologue; at the least depth without pictures that others follow in the session."""

@@ -12,7 +12,7 @@ import pytest
 
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.units import UNITS
-from igtl_gateway.gateway import LINK_UP
+from igtl_gateway.gateway import LINK_UP, Session
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.groups import input_groups
 from igtl_gateway.gateway.log.note import Note
@@ -101,6 +101,23 @@ def test_what_depends_on_streams_that_are_left_out_is_computed_and_told(name: st
     assert verify(made, config).good
     assert report.computed <= 5
     assert len(made) < len(entries) / 2
+
+
+@table("globs", [(), ("TRANSFORM/**",)])
+def test_what_the_window_computes_is_computed_once(monkeypatch: pytest.MonkeyPatch, globs: tuple[str, ...]) -> None:
+    entries, config = recorded("star")
+    computed: list[int] = []
+    original = Session.recorded
+
+    def counted(self: Session, given: Entry) -> list[Entry]:
+        computed.append(given.seq)
+        return original(self, given)
+
+    monkeypatch.setattr(Session, "recorded", counted)
+    found, report = cut(entries, config, window(entries, (0.3, 0.6), *globs))
+    assert report.inputs > 100 and not report.differing
+    assert len(computed) == 2 * report.prologue + report.inputs
+    assert len(found) > report.inputs and report.ledger
 
 
 def test_a_part_of_a_slice_is_one_too() -> None:
