@@ -30,6 +30,8 @@ Times = npt.NDArray[np.int64] | npt.NDArray[np.uint64]
 #: After all times.
 END_NS = 1 << 64
 _CHANNELS = 1 << 16
+#: Heads that are compared in C; a head that is not among them costs what an entry object costs.
+_LEARNED_HEADS = 1000
 _LATE = 1 << 63
 
 
@@ -91,6 +93,10 @@ class WireHeads:
     """The heads of RawMessages that a file had so far; see :func:`.chunk_columns.unwrap`."""
 
     def __init__(self) -> None:
+        self._forget()
+
+    def _forget(self) -> None:
+        """Begin again: the columns of earlier calls keep the heads that they know."""
         self.known: list[WireHead] = []
         self._numbers: dict[tuple[int, bytes], int] = {}
         self._bytes = b""
@@ -105,6 +111,8 @@ class WireHeads:
 
         Returns the heads, the flags, and the row of the first one that is no RawMessage, with the error of it.
         """
+        if len(self.known) > _LEARNED_HEADS:
+            self._forget()
         count = len(channels)
         heads, flags = np.empty(count, np.int32), np.empty(count, np.uint8)
         row = 0
@@ -114,27 +122,33 @@ class WireHeads:
             )
             if row == count:
                 return heads, flags, row, None
-            begin, end = int(begins[row]), int(ends[row])
+            raw = memoryview(data)[int(begins[row]) : int(ends[row])]
             try:
-                self._learn(int(channels[row]), memoryview(data)[begin:end])
+                entry = unpack_raw(raw, 0, 1, 1)  # a source stamp becomes 1
             except LayoutError as error:
                 return heads, flags, row, error
+            number = self._number_of(int(channels[row]), raw_head(raw, entry), entry)
+            if number >= _LEARNED_HEADS:  # a file in which no head is like another
+                heads[row], begins[row] = number, ends[row] - entry.size
+                flags[row] = (OUTGOING if entry.kind is Kind.IGTL_OUT else 0) | (STAMPED if entry.source_ns else 0)
+                row += 1
 
-    def _learn(self, channel: int, raw: memoryview) -> None:
-        """Have the next call know the head of a message, first of its channel.  Raises LayoutError."""
-        entry = unpack_raw(raw, 0, 0, 0)
-        same = raw_head(raw, entry)
+    def _number_of(self, channel: int, same: bytes, entry: Entry) -> int:
+        """The number of a head, which the next call knows, first of its channel, if it is one of the first ones."""
         number = self._numbers.get((channel, same))
         if number is None:
             number = self._numbers[channel, same] = len(self.known)
             self.known.append(WireHead(entry.channel, entry.type, entry.links))
-            self._bytes += same
-            self._offsets = np.append(self._offsets, np.int64(len(self._bytes)))
-            last = int(self._last[channel])
-            self._next = np.append(self._next, np.int32(number if last < 0 else self._next[last]))
-            if last >= 0:
-                self._next[last] = number
-        self._last[channel] = number
+            if number < _LEARNED_HEADS:
+                self._bytes += same
+                self._offsets = np.append(self._offsets, np.int64(len(self._bytes)))
+                last = int(self._last[channel])
+                self._next = np.append(self._next, np.int32(number if last < 0 else self._next[last]))
+                if last >= 0:
+                    self._next[last] = number
+        if number < _LEARNED_HEADS:
+            self._last[channel] = number
+        return number
 
 
 class _Table:

@@ -14,6 +14,7 @@ import pytest
 from igtl_gateway.base.errors import DamagedRecording, GatewayError
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile import chunks, order
+from igtl_gateway.record.sessionfile import columns as columns_module
 from igtl_gateway.record.sessionfile.columns import EntryColumns, Stream, Unfit, WireHead
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
@@ -189,6 +190,28 @@ def test_messages_to_different_links_have_heads_of_their_own(tmp_path: Path) -> 
     found = [wire.known[head].links for wire in wires for head in wire.heads.tolist()]
     assert found == [entry.links for entry in entries]
     assert len(wires[0].known) == 100 and wires[0].known[0] == WireHead("STRING/A", "STRING", (0,))
+
+
+def test_heads_beyond_those_that_are_learned_are_read_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file in which each message has other links costs no more than in proportion to its size."""
+    monkeypatch.setattr(columns_module, "_LEARNED_HEADS", 3)
+    kinds, stamps = (Kind.IGTL_OUT, Kind.IGTL_IN), (0, 5, 7_000)
+    entries = [
+        Entry(n, n * 1000, kinds[n % 2], f"STRING/{n % 2}", "STRING", (bytes(58),), (n % 9,), stamps[n % 3])
+        for n in range(1, 400)
+    ]
+    _written(tmp_path / "a.mcap", entries, chunk_bytes=4096)
+    with SessionFile.open(tmp_path / "a.mcap") as file:
+        for columns in file.columns():
+            wire = columns.wire()
+            expected = entries[int(columns.numbers[0]) - 1 :][: len(wire)]
+            assert [wire.known[head].links for head in wire.heads.tolist()] == [entry.links for entry in expected]
+            assert wire.outgoing.tolist() == [entry.kind is Kind.IGTL_OUT for entry in expected]
+            assert wire.source_times.tolist() == [entry.source_ns for entry in expected]
+            assert set((wire.ends - wire.begins).tolist()) == {58}
+            assert len(wire.known) < 30
 
 
 def test_a_file_of_an_older_version_is_not_read_in_columns(monkeypatch: pytest.MonkeyPatch) -> None:
