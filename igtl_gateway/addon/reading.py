@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile.added_marks import marks_files as marks_files
     from igtl_gateway.record.sessionfile.bulk import MessageBlock as MessageBlock
     from igtl_gateway.record.sessionfile.bulk import block_of as block_of
+    from igtl_gateway.record.sessionfile.bulk import check_time as check_time
     from igtl_gateway.record.sessionfile.index import read_index as read_index
     from igtl_gateway.record.sessionfile.index import read_record as read_record
     from igtl_gateway.record.sessionfile.index import recover_hint as recover_hint
@@ -76,7 +77,7 @@ HOMES: Homes = (
     # Sessions: entries as they are in the file
     ("record.sessionfile.reader", "SessionFile"),
     ("record.sessionfile", "layout"),
-    ("record.sessionfile.bulk", "MessageBlock block_of"),
+    ("record.sessionfile.bulk", "MessageBlock block_of check_time"),
     ("record.sessionfile.ranges", "RangeFile named"),
     ("gateway.log.entry", "Entry Kind"),
     ("gateway.log.note", "Level Note"),

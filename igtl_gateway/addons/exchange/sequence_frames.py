@@ -20,7 +20,16 @@ import numpy.typing as npt
 from igtl_gateway.addon import NS_PER_S, ConfigError, UnsupportedRecording, distinct_names, failure_text
 from igtl_gateway.addon.igtl import Image, Message, Transform
 from igtl_gateway.addon.messages import millimetres
-from igtl_gateway.addon.reading import Buffer, Entry, Kind, Note, RecordedStamps, recorded_acceptance, recorded_units
+from igtl_gateway.addon.reading import (
+    Buffer,
+    Entry,
+    Kind,
+    Note,
+    RecordedStamps,
+    check_time,
+    recorded_acceptance,
+    recorded_units,
+)
 from igtl_gateway.addon.streams import (
     END_NS,
     GAP_NS,
@@ -103,6 +112,7 @@ class _Samples:
     breaks: int = 0
 
     def add(self, entry: Entry, row: ExportedStream) -> None:
+        check_time(max(entry.stamp_ns, entry.source_ns), f"entry {entry.seq}")
         self.times.append(entry.stamp_ns)
         self.stamps.append(entry.source_ns)
         self.sender, self.row = f"link {entry.links}" if entry.kind is Kind.IGTL_IN else "", row

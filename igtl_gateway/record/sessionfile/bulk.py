@@ -214,7 +214,7 @@ class ChunkReader:
         records = gathered(data, places, head).view(_RECORD).reshape(-1)
         ends = places + HEAD.size + records["length"].astype(np.int64)
         last = max(int(records["log_ns"].max()), int(records["publish_ns"].max())) if len(places) else 0
-        _check_time(last, f"chunk at offset {chunk.at:,}")
+        check_time(last, f"chunk at offset {chunk.at:,}")
         times = records["log_ns"].astype(np.int64)
         right = (records["opcode"] == MESSAGE) & np.isin(records["channel"], list(wanted)) & (ends <= len(data))
         if not (right & (ends >= places + head)).all():
@@ -229,7 +229,7 @@ class ChunkReader:
         return block
 
 
-def _check_time(found: int, what: str) -> None:
+def check_time(found: int, what: str) -> None:
     """Refuse a time without 63 bits, which would be before 1970."""
     if found > _LAST:
         raise UnsupportedRecording(f"{what}: found {found}, expected times up to 2^63 - 1 ns")
@@ -319,7 +319,7 @@ def block_of(entries: Collection[Entry]) -> MessageBlock:
     ends = np.cumsum([len(payload) for payload in payloads], dtype=np.int64)
     begins = np.concatenate((np.zeros(1, np.int64), ends[:-1])) if payloads else ends
     for entry in entries:
-        _check_time(max(entry.seq, entry.stamp_ns, entry.source_ns), f"entry {entry.seq}")
+        check_time(max(entry.seq, entry.stamp_ns, entry.source_ns), f"entry {entry.seq}")
     numbers, times, source = (
         np.array([getattr(entry, name) for entry in entries], np.int64) for name in ("seq", "stamp_ns", "source_ns")
     )

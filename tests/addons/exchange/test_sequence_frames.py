@@ -183,3 +183,11 @@ def test_more_transforms_than_a_sequence_that_is_read_back_are_refused(tmp_path:
     assert not out.exists()
     with limits_in_force(FileLimits(fields=12)):
         export_sequence(InMemory(items), out, ())
+
+
+def test_a_time_after_2262_is_refused(tmp_path: Path) -> None:
+    items = [sent(0, "Tool", "TRANSFORM", pose(1)), sent(10, "Scan", "IMAGE", SLICE)]
+    items[0] = replace(items[0], time_ns=(1 << 64) - 1)
+    with pytest.raises(UnsupportedRecording, match="found 18446744073709551615, expected times up to 2"):
+        export_sequence(InMemory(items), tmp_path / "a.igs.mha", ())
+    assert not list(tmp_path.iterdir())
