@@ -30,8 +30,8 @@ from igtl_gateway.gateway.log.marks import MarkNote
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import String
 from tests.places import ROOT
+from tests.timing import WAIT_S
 
-DEADLINE_S = 20.0
 HELLO = join(encode(Message("STRING", 'A "quoted" name', String.of("hello"), 7 << 32)))
 #: A line of a metric: name, labels, number.
 LINE = re.compile(r'([a-z_0-9]+)(\{(?:[a-z]+="(?:[^"\\\n]|\\.)*",?)*\})? ([-+0-9.e]+)')
@@ -61,7 +61,7 @@ def port_of(server: MetricsServer) -> int:
 
 
 def ask(server: MetricsServer, path: str, method: str = "GET", **headers: str) -> tuple[int, str]:
-    with closing(HTTPConnection("127.0.0.1", port_of(server), timeout=DEADLINE_S)) as connection:
+    with closing(HTTPConnection("127.0.0.1", port_of(server), timeout=WAIT_S)) as connection:
         connection.request(method, path, headers=headers)
         answer = connection.getresponse()
         return answer.status, answer.read().decode()
@@ -78,7 +78,7 @@ def test_a_bridge_is_scraped(tmp_path: Path) -> None:
     with bridge(tmp_path, refused) as (one, status), closing(MetricsServer("127.0.0.1", 0, status, one.mark)) as server:
         with socket.create_connection(one.addresses[0]) as peer:
             peer.sendall(3 * HELLO + HELLO[:50] + bytes(8) + HELLO[58:])
-            assert refused.wait(DEADLINE_S)
+            assert refused.wait(WAIT_S)
             status.sample()
             code, page = ask(server, "/metrics")
             facts = json.loads(ask(server, "/status")[1])
@@ -144,7 +144,7 @@ def _no_marks(_mark: MarkNote) -> None:
 
 
 def _post(server: MetricsServer, body: bytes, path: str = "/mark", **headers: str) -> tuple[int, str]:
-    connection = HTTPConnection("127.0.0.1", port_of(server), timeout=DEADLINE_S)
+    connection = HTTPConnection("127.0.0.1", port_of(server), timeout=WAIT_S)
     given = {"Content-Type": "application/json"} | {name.replace("_", "-"): value for name, value in headers.items()}
     with closing(connection):
         connection.request("POST", path, body, given)
@@ -208,7 +208,7 @@ def test_other_questions_are_refused() -> None:
 
 def test_whoever_asks_slowly_is_cut_off_and_the_next_is_answered() -> None:
     with closing(MetricsServer("127.0.0.1", 0, Nothing(), _no_marks, deadline_s=0.05)) as server:
-        with socket.create_connection(("127.0.0.1", port_of(server)), DEADLINE_S) as slow:
+        with socket.create_connection(("127.0.0.1", port_of(server)), WAIT_S) as slow:
             slow.sendall(b"GET /metr")
             assert slow.recv(1) == b""
         assert ask(server, "/status")[0] == 200
@@ -220,10 +220,10 @@ def test_silent_clients_and_slow_readers_do_not_delay_a_scrape() -> None:
     status.facts = {"version": "x" * (8 << 20)}  # more than the socket takes
     with closing(MetricsServer("127.0.0.1", 0, status, _no_marks, deadline_s=600.0)) as server, ExitStack() as clients:
         for number in range(2 * MAX_CONNECTIONS + 6):
-            client = clients.enter_context(socket.create_connection(("127.0.0.1", port_of(server)), DEADLINE_S))
+            client = clients.enter_context(socket.create_connection(("127.0.0.1", port_of(server)), WAIT_S))
             client.sendall((b"", b"GET /metr", b"GET /status HTTP/1.0\r\n\r\n")[number % 3])
         assert ask(server, "/status")[0] == 200
-        until = time.monotonic() + DEADLINE_S
+        until = time.monotonic() + WAIT_S
         while len([one for one in threading.enumerate() if one.name == "igtl-http"]) > MAX_CONNECTIONS:
             assert time.monotonic() < until, "connections that were cut off keep their threads"
             time.sleep(0.01)
@@ -238,7 +238,7 @@ def test_a_request_through_the_name_of_a_foreign_site_is_refused() -> None:
         for host in (*strange, f"127.0.0.1:{port}@rebind.example", "localhost:65536", "[::1]x"):
             code, text = ask(server, "/status", Host=host)
             assert code == 403 and "version" not in text, host
-        with socket.create_connection(("127.0.0.1", port), DEADLINE_S) as old:
+        with socket.create_connection(("127.0.0.1", port), WAIT_S) as old:
             old.sendall(b"GET /status HTTP/1.0\r\n\r\n")  # a program, not a browser
             assert old.recv(100).startswith(b"HTTP/1.0 200 ")
 

@@ -16,6 +16,7 @@ from igtl_gateway.cli import main
 from igtl_gateway.cli.completion import SHELLS, script
 from igtl_gateway.cli.verbs import VERBS
 from tests.tables import table
+from tests.timing import WAIT_S
 
 #: Words up to the cursor → what the last one can become; files are those of ``folder``.
 CASES = {
@@ -33,7 +34,6 @@ CASES = {
 }
 #: The screen of a shell has one completed word.
 ONE_RESULT = {line: found for line, found in CASES.items() if len(found) == 1}
-DEADLINE_S = 20
 
 
 def needs(shell: str) -> str:
@@ -59,7 +59,7 @@ def environment(folder: Path) -> dict[str, str]:
 
 def output(command: list[str], folder: Path) -> list[str]:
     done = subprocess.run(
-        command, cwd=folder, env=environment(folder), capture_output=True, text=True, check=True, timeout=DEADLINE_S
+        command, cwd=folder, env=environment(folder), capture_output=True, text=True, check=True, timeout=WAIT_S
     )
     return done.stdout.splitlines()
 
@@ -110,7 +110,7 @@ def test_zsh(folder: Path) -> None:
 
 
 def read_until(screen: int, text: str) -> None:
-    seen, end = "", time.monotonic() + DEADLINE_S
+    seen, end = "", time.monotonic() + WAIT_S
     while text not in seen.replace("\x08", ""):
         assert select.select([screen], [], [], max(0.0, end - time.monotonic()))[0], f"expected {text!r} in {seen!r}"
         seen += os.read(screen, 4096).decode(errors="replace")

@@ -32,7 +32,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosidl_parser.definition import AbstractNestedType, BasicType, NamespacedType
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 60.0
 
 _printing = threading.Lock()
 

@@ -50,8 +50,8 @@ from tests.peers import only, pyigtl_peer, reference
 from tests.peers.pyigtl_peer import PyigtlPeer
 from tests.peers.reference import ENCODERS, ReferencePeer
 from tests.tables import table
+from tests.timing import WAIT_S
 
-TIMEOUT_S = 20.0
 #: A name that fills its field, and a stamp whose fraction no conversion may touch.
 DEVICE, SEC, FRAC = "TwentyBytesOfTheName", 1_700_000_000, 0xFEDCBA98
 
@@ -549,7 +549,7 @@ class Ours:
             self._link.put(number)
 
     def wait_peer(self) -> None:
-        self.link = self._link.get(timeout=TIMEOUT_S)
+        self.link = self._link.get(timeout=WAIT_S)
 
     def send(self, case: Case) -> None:
         buffers = encode(Message(case.type, DEVICE, case.body, SEC << 32 | FRAC))
@@ -557,7 +557,7 @@ class Ours:
 
     def receive(self) -> tuple[Message, bytes]:
         """The next message and its bytes; raises for a wrong CRC."""
-        frame = self._frames.get(timeout=TIMEOUT_S)
+        frame = self._frames.get(timeout=WAIT_S)
         return decode(frame), bytes(frame)
 
     def __enter__(self) -> Ours:
@@ -619,7 +619,7 @@ def test_what_the_library_encodes_is_what_we_decode(cpp: tuple[Ours, ReferencePe
 def test_what_we_encode_is_what_the_library_unpacks(cpp: tuple[Ours, ReferencePeer], case: Case) -> None:
     ours, peer = cpp
     ours.send(case)
-    got = peer.receive(case.type, timeout_s=TIMEOUT_S)
+    got = peer.receive(case.type, timeout_s=WAIT_S)
     assert got["crc_ok"]
     assert (got["device_name"], got["timestamp"]) == (DEVICE, {"sec": SEC, "frac": FRAC})
     case.check(got["content"])
@@ -641,7 +641,7 @@ def test_scan_times_are_as_good_as_the_librarys_arithmetic(cpp: tuple[Ours, Refe
     images = ImageMetaList(images.elements.copy())
     images.elements["ticks"] = ns_to_ticks(stamp_ns)
     ours.send(replace(case, body=images))
-    (element,) = peer.receive("IMGMETA", timeout_s=TIMEOUT_S)["content"]["elements"]
+    (element,) = peer.receive("IMGMETA", timeout_s=WAIT_S)["content"]["elements"]
     told = element["timestamp"]
     assert abs(told["sec"] * NS_PER_S + told["nanosec"] - stamp_ns) <= reference.STAMP_NS
 
@@ -682,7 +682,7 @@ def test_what_pyigtl_encodes_is_what_we_decode(py: tuple[Ours, PyigtlPeer], case
 def test_what_we_encode_is_what_pyigtl_reads(py: tuple[Ours, PyigtlPeer], case: Case) -> None:
     ours, peer = py
     ours.send(case)
-    got = peer.receive(case.type, timeout_s=TIMEOUT_S)
+    got = peer.receive(case.type, timeout_s=WAIT_S)
     assert got["device_name"] == DEVICE
     check_pyigtl(case, got["content"])
 

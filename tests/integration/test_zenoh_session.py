@@ -31,12 +31,12 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.recorded_config import config_to_run
 from tests.addons.zenoh.routers import free_port, router
 from tests.places import ROOT
+from tests.timing import WAIT_S
 
 pytestmark = pytest.mark.ros
 
 GOLDEN = ROOT / "fixtures" / "every-type.mcap"
 QOS = Qos(1000)
-WAIT_S = 20.0
 OF_EACH = 5
 
 

@@ -26,7 +26,7 @@ import zenoh
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-TIMEOUT_S = 20.0
+TIMEOUT_S = 60.0
 #: The field of a message without fields.
 NOTHING = "structure_needs_at_least_one_member"
 INFO = "service_msgs/msg/ServiceEventInfo"

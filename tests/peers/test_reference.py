@@ -22,12 +22,12 @@ from tests.peers import Message, PeerError, pyigtl_peer, reference
 from tests.peers.pyigtl_peer import PyigtlPeer
 from tests.peers.reference import ENCODERS, JUNK, MAP_UINT16, STAMP_NS, ReferencePeer
 from tests.tables import all_hold
+from tests.timing import WAIT_S
 from tests.wire import handmade
 
 CORPUS = Path(__file__).parents[1] / "data" / "corpus"
 #: What the library wrote itself.
 FILES = sorted({path.stem for name in ENCODERS for path in CORPUS.glob(f"{name}_v1_*.bin")} - handmade.files().keys())
-TIMEOUT_S = 10.0
 
 needs_reference = pytest.mark.skipif(reference.available() is not None, reason=str(reference.available()))
 
@@ -40,13 +40,13 @@ def load(stem: str) -> tuple[bytes, Message]:
 
 def listener() -> socket.socket:
     sock = socket.create_server(("127.0.0.1", 0))
-    sock.settimeout(TIMEOUT_S)
+    sock.settimeout(WAIT_S)
     return sock
 
 
 def accepted(server: socket.socket) -> socket.socket:
     link, _ = server.accept()
-    link.settimeout(TIMEOUT_S)
+    link.settimeout(WAIT_S)
     return link
 
 
@@ -225,7 +225,7 @@ def test_reference_tells_an_end_between_messages_from_one_inside(pair: Pair, sen
 def test_reference_server_takes_one_client_after_the_other() -> None:
     with ReferencePeer.server() as peer:
         for round_number in (1, 2):
-            with socket.create_connection(("127.0.0.1", peer.port), TIMEOUT_S) as link:
+            with socket.create_connection(("127.0.0.1", peer.port), WAIT_S) as link:
                 peer.wait_for_event("connected", round_number)
                 peer.send("STRING", "Dev", {"string": f"hello {round_number}"})
                 assert read_message(link)[62:] == f"hello {round_number}".encode()

@@ -34,6 +34,7 @@ from igtl_gateway.record.worker import FAILED
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import Status
 from tests.record import samples
+from tests.record.notes import TimelessNotes
 from tests.record.test_parts import RULE, session, wait_until
 from tests.record.test_recorder import workers
 from tests.tables import table
@@ -351,7 +352,7 @@ def test_info_lists_triggers_by_their_time(tmp_path: Path, capsys: pytest.Captur
 
 @pytest.mark.parametrize("is_open", [False, True], ids=["no window", "a window"])
 def test_a_killed_recorder_leaves_a_file_that_is_named(is_open: bool, tmp_path: Path) -> None:
-    notes: list[Note] = []
+    notes = TimelessNotes()
     recorder = Recorder(
         tmp_path / "box.mcap", samples.SESSION, qos_of=lambda _topic, _type: None, on_note=notes.append, rule=RULE,
         clock=SystemClock(), options=RecordOptions(snapshot_s=20.0, triggers=(trigger("mark=slip,after=60"),)),
@@ -386,7 +387,7 @@ _TWO = (trigger("mark=slip,after=1"), trigger("mark=late,before=1,after=60"))
 def test_the_summary_of_a_killed_recorder_has_the_files_that_are_there(
     options: RecordOptions, count: int, tmp_path: Path
 ) -> None:
-    notes: list[Note] = []
+    notes = TimelessNotes()
     recorder = Recorder(
         tmp_path / "box.mcap", samples.SESSION, qos_of=lambda _topic, _type: None, on_note=notes.append, rule=RULE,
         clock=SystemClock(), options=options,

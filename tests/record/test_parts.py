@@ -32,6 +32,8 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.worker import RecordingSummary
 from igtl_gateway.replay.verify import DeclaredLosses, verify
 from tests.record import samples
+from tests.record.notes import TimelessNotes
+from tests.timing import WAIT_S
 
 NS = SECOND_NS = 1_000_000_000
 RULE = StateInputRule(frozenset({LINKS_TOPIC}))
@@ -79,7 +81,7 @@ def record(
 
 
 def wait_until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + WAIT_S
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.005)
@@ -140,7 +142,7 @@ def test_every_part_verifies_alone_and_the_folder_as_a_whole(path: Path) -> None
 @pytest.mark.parametrize("options", [{}, {"split_s": 1e3}], ids=["one file", "parts"])
 @pytest.mark.parametrize("cut", [1, 37, 150, 151, 152, 153])
 def test_what_follows_a_file_that_was_truncated_verifies(path: Path, cut: int, options: dict[str, Any]) -> None:
-    entries, clock, notes = session(), ManualClock(), list[Note]()
+    entries, clock, notes = session(), ManualClock(), TimelessNotes()
     recorder = Recorder(
         path,
         samples.SESSION,

@@ -47,6 +47,7 @@ from igtl_gateway.record.worker import WorkerSettings
 from tests.places import ROOT
 from tests.processes import kill
 from tests.record import samples
+from tests.record.notes import LATENESS, TimelessNotes
 
 DEADLINE_S = 30.0
 
@@ -96,8 +97,7 @@ class Bench:
 
     def _on_note(self, note: Note) -> None:
         with self._changed:
-            late = note.code in {recorder_module.LATE, recorder_module.ON_TIME}
-            (self.lateness if late else self.notes).append(note)
+            (self.lateness if note.code in LATENESS else self.notes).append(note)
             self._changed.notify_all()
 
     def wait_drained(self) -> None:
@@ -461,19 +461,13 @@ def test_when_the_process_is_killed_all_that_it_gave_is_there(path: Path) -> Non
 
 
 def test_when_the_worker_is_killed_it_is_told_and_the_process_goes_on(path: Path) -> None:
-    notes: list[Note] = []
-    told = threading.Event()
-
-    def on_note(note: Note) -> None:
-        notes.append(note)
-        told.set()
-
-    recorder = Recorder(path, {}, qos_of=lambda *_: None, on_note=on_note, clock=SystemClock())
+    notes = TimelessNotes()
+    recorder = Recorder(path, {}, qos_of=lambda *_: None, on_note=notes.append, clock=SystemClock())
     for seq in range(1, 101):
         recorder(samples.igtl(seq))
     (worker,) = workers(os.getpid())
     os.kill(worker, signal.SIGKILL)
-    assert told.wait(DEADLINE_S)
+    wait_until(lambda: bool(notes))
     recorder(samples.igtl(101))
     assert [note.code for note in notes] == [worker_module.FAILED]
     assert "the recorder's process has ended: killed by signal 9; the bridge goes on" in notes[0].text
@@ -497,21 +491,21 @@ def _resident(name: str) -> int:
 
 def test_the_memory_of_the_queue_is_given_back_when_the_worker_is_killed(path: Path) -> None:
     """Before, the bridge kept for its life what waited for the recorder then."""
-    told = threading.Event()
-    recorder = Recorder(path, {}, qos_of=lambda *_: None, on_note=lambda _: told.set(), clock=SystemClock())
+    notes = TimelessNotes()
+    recorder = Recorder(path, {}, qos_of=lambda *_: None, on_note=notes.append, clock=SystemClock())
     (worker,) = workers(os.getpid())
     os.kill(worker, signal.SIGSTOP)
     for seq in range(1, 101):
         recorder(replace(samples.igtl(seq), payload=(bytes(1 << 20),)))
     assert _resident("igtl-gateway recorder") > 80 << 20
     os.kill(worker, signal.SIGKILL)
-    assert told.wait(DEADLINE_S)
+    wait_until(lambda: bool(notes))
     assert _resident("igtl-gateway recorder") < 20 << 20
     assert sum(recorder.close({}).dropped.values()) + recorder.counters()["written_entries"] == 100
 
 
 def test_signals_to_all_processes_of_a_service_leave_the_end_to_the_bridge(path: Path) -> None:
-    notes: list[Note] = []
+    notes = TimelessNotes()
     recorder = Recorder(path, {}, qos_of=lambda *_: None, on_note=notes.append, clock=SystemClock())
     (worker,) = workers(os.getpid())
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGABRT, signal.SIGQUIT):
@@ -645,7 +639,7 @@ def test_where_no_process_is_to_be_had_it_is_a_thread_and_says_so(path: Path, mo
         raise BlockingIOError(11, "Resource temporarily unavailable")
 
     monkeypatch.setattr(subprocess, "Popen", refuse)
-    notes: list[Note] = []
+    notes = TimelessNotes()
     recorder = Recorder(path, {}, qos_of=lambda *_: None, on_note=notes.append, clock=SystemClock())
     recorder(samples.igtl(1))
     assert recorder.close({}).entries == 1
@@ -784,7 +778,7 @@ def test_a_writer_that_failed_says_so_again_and_closes_quietly(path: Path, monke
 
 
 def test_a_defect_in_the_thread_ends_the_recording_not_the_process(path: Path) -> None:
-    notes: list[Note] = []
+    notes = TimelessNotes()
 
     def broken(_topic: str, _type: str) -> Qos | None:
         raise KeyError("defect")

@@ -16,6 +16,7 @@ from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.space import ENOUGH, LOW, LOW_S, SpaceWatch, free_bytes
 from tests.record import samples
+from tests.record.notes import TimelessNotes
 from tests.record.test_recorder import wait_until
 
 NS = 1_000_000_000
@@ -69,7 +70,7 @@ def test_where_it_is_not_known_nothing_is_said(tmp_path: Path) -> None:
 
 def test_the_recorder_looks_at_the_disk_of_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _path: _Usage(10**9, 10**9 - 10**6, 10**6))
-    notes: list[Note] = []
+    notes = TimelessNotes()
     clock = ManualClock()
     recorder = Recorder(
         tmp_path / "a.mcap", samples.SESSION, qos_of=lambda *_: None, on_note=notes.append, clock=clock,

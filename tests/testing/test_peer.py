@@ -24,10 +24,10 @@ from igtl_gateway.wire import Header, Message, decode, encode
 from igtl_gateway.wire.framer import Framer
 from igtl_gateway.wire.text import String
 from tests.places import FIXTURES
+from tests.timing import WAIT_S
 
 STAR = FIXTURES / "star.mcap"
 HELLO = Message("STRING", "Greeting", String.of("hello"), 7 << 32)
-DEADLINE_S = 20.0
 
 
 def sent_that_day(path: Path, *streams: str) -> list[bytes]:
@@ -44,7 +44,7 @@ class Program:
 
     def __init__(self, sock: socket.socket) -> None:
         self.socket = sock
-        sock.settimeout(DEADLINE_S)
+        sock.settimeout(WAIT_S)
 
     @classmethod
     def of(cls, peer: ReplayPeer) -> Program:
@@ -126,7 +126,7 @@ def test_messages_of_the_program_are_decoded_and_invalid_ones_noted(program: Any
 
 def test_it_connects_to_a_program_that_listens() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        listener.settimeout(DEADLINE_S)
+        listener.settimeout(WAIT_S)
         with ReplayPeer(STAR, side="peers", connect=listener.getsockname()) as peer:
             server = Program(listener.accept()[0])
             with server.socket:

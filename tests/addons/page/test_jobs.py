@@ -7,10 +7,11 @@ from pathlib import Path
 
 from igtl_gateway.addons.page.jobs import ACTIONS, CANCELLED, DONE, FAILED, MAX_RUNNING, NOTHING, RUNNING, Jobs
 from tests.places import FIXTURES
+from tests.timing import WAIT_S
 
 
 def wait(condition: Callable[[], bool]) -> None:
-    until = time.monotonic() + 60
+    until = time.monotonic() + WAIT_S
     while not condition():
         assert time.monotonic() < until
         time.sleep(0.02)

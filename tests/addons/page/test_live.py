@@ -19,6 +19,7 @@ from igtl_gateway.addons.page.source import BridgeSource, Poller
 from igtl_gateway.app.note_rate import Event
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.note import Level, Note
+from tests.timing import WAIT_S
 
 
 class Watch:
@@ -44,7 +45,7 @@ def page_of(bridge: Any, stopped: list[bool]) -> Iterator[tuple[BridgePage, Brid
 
 
 def wait(condition: Callable[[], object]) -> None:
-    until = time.monotonic() + 30
+    until = time.monotonic() + WAIT_S
     while not condition():
         assert time.monotonic() < until
         time.sleep(0.01)

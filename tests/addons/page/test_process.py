@@ -26,6 +26,7 @@ from igtl_gateway.addons.page.source import BridgeSource
 from tests.addons.page.browser import CHROMIUM, Browser
 from tests.integration.bridge import Bridge, RawPeer, children, free_port, sending, string
 from tests.places import FIXTURES
+from tests.timing import WAIT_S
 
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="needs a Chromium: apt-get install chromium")
 
@@ -155,7 +156,7 @@ def test_the_parameter_of_ros_opens_the_page() -> None:
 
 def read_until(browser: OpenerDirector, link: str, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
     """The state of a page, once it is as wanted."""
-    until = time.monotonic() + 30
+    until = time.monotonic() + WAIT_S
     while not wanted(state := json.loads(browser.open(link.partition("?")[0] + "api/state").read())):
         assert time.monotonic() < until, state
         time.sleep(0.05)
@@ -208,7 +209,7 @@ def test_a_folder_without_a_bridge(tmp_path: Path) -> None:
             page.wait("[...document.querySelectorAll('#replay .btn')].every((each) => each.disabled)")
     finally:
         served.send_signal(signal.SIGINT)
-        assert served.wait(20) == 0
+        assert served.wait(WAIT_S) == 0
 
 
 #: What the page needs of a bridge without peers.
@@ -248,7 +249,7 @@ class Source(BridgeSource):
         how = {"path": path, "snapshot_s": 0, "triggers": [], "split": False, "sealed": False, "phases": []}
         self._given.append({"facts": _FACTS | {"relay": False, "ros": False, "recorder": recorder}, "recording": how})
         self._is_given.release()
-        assert self._is_taken.acquire(timeout=10)
+        assert self._is_taken.acquire(timeout=WAIT_S)
 
     def end(self) -> None:
         self._over = True
@@ -319,7 +320,7 @@ def test_a_disk_that_does_not_answer_does_not_stop_the_page(
     go_on = threading.Event()
 
     def ask(*_paths: Path) -> tuple[int, int, int | None]:
-        assert go_on.wait(30)
+        assert go_on.wait(WAIT_S)
         return 7, 1, 9
 
     monkeypatch.setattr(disk, "_WAIT_S", 0.01)

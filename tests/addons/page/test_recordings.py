@@ -15,11 +15,12 @@ from igtl_gateway.addons.page.listing import MAX_MARKS, places_of
 from igtl_gateway.addons.page.recordings import Recordings, _Reader
 from igtl_gateway.cli import main
 from tests.places import FIXTURES
+from tests.timing import WAIT_S
 
 
 def rows(recordings: Recordings) -> dict[str, dict[str, Any]]:
     """The list, once all of it is read."""
-    until = time.monotonic() + 60
+    until = time.monotonic() + WAIT_S
     while True:
         found = recordings.rows()
         if all(row["read"] for row in found):
@@ -145,7 +146,7 @@ def test_a_file_that_ends_the_process_costs_one_row(tmp_path: Path) -> None:
     recordings = Recordings(tmp_path)
     recordings.rows()
     killed = 0
-    until = time.monotonic() + 20
+    until = time.monotonic() + WAIT_S
     while not killed and time.monotonic() < until:
         for process in Path(f"/proc/{os.getpid()}/task").glob("*/children"):
             for number in process.read_text().split():

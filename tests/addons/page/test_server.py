@@ -14,7 +14,7 @@ from igtl_gateway.addons.page.server import PageServer
 from igtl_gateway.edges.tcp.tls import TlsFiles
 from tests.addons.page.hostile_browsers import BEGIN, CASES, END, PAGE, SPECTATOR, TOKEN, Case, table
 from tests.places import PEMS
-from tests.timing import at_once
+from tests.timing import WAIT_S, at_once
 
 
 class Fake:
@@ -147,7 +147,7 @@ def test_tls() -> None:
         assert server.link.startswith("https://")
         context = ssl.create_default_context()
         context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
-        with urlopen(server.link, context=context, timeout=10) as answer:
+        with urlopen(server.link, context=context, timeout=WAIT_S) as answer:
             assert answer.headers["Set-Cookie"].endswith("; Secure")
         place = urlsplit(server.link)
         assert place.port

@@ -349,16 +349,23 @@ def test_ctrl_c_at_any_moment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     once()  # it imports
     calls = [0]
     beside_calls(once, lambda number: calls.__setitem__(0, number))
-    chance = random.Random(1)
-    for _ in range(12):
+    chance, interrupted = random.Random(1), 0
+    while interrupted < 12:
         moments = sorted(chance.sample(range(100, calls[0] * 9 // 10), 2))
+        last = [0]
 
-        def interrupt(number: int, moments: list[int] = moments) -> None:
+        def interrupt(number: int, moments: list[int] = moments, last: list[int] = last) -> None:
+            last[0] = number
             if number in moments:
                 signal.raise_signal(signal.SIGINT)
 
-        with pytest.raises(KeyboardInterrupt):
+        try:
             beside_calls(once, interrupt)
+        except KeyboardInterrupt:
+            interrupted += 1
+        else:  # on a busy machine a run looks more often whether something has happened: this one has fewer calls
+            assert last[0] < moments[0], moments
+            calls[0] = last[0]
         assert processes_with(mark) == [], moments
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
         if (path := run_file(tmp_path, 1)).exists():

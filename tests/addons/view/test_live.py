@@ -21,10 +21,9 @@ from igtl_gateway.gateway import LINK_UP, Session, make_core
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire import Message, encode
+from tests.timing import WAIT_S
 
 from .conftest import START_NS, Drawn, messages, read_back
-
-DEADLINE_S = 20
 
 
 def live(path: Path, **options: Any) -> LiveView:
@@ -46,7 +45,7 @@ class Gate:
 
         def held(view: SessionView, entry: Entry) -> None:
             self.arrived.set()
-            assert self.open.wait(DEADLINE_S)
+            assert self.open.wait(WAIT_S)
             take(view, entry)
 
         monkeypatch.setattr(SessionView, "take", held)
@@ -69,7 +68,7 @@ def test_what_comes_faster_than_it_can_draw_is_dropped_and_shown_as_one_gap(
     view = live(path, max_entries=10)
     entries = messages(*(String("x") for _ in range(102)))
     view(entries[0])
-    assert gate.arrived.wait(DEADLINE_S)
+    assert gate.arrived.wait(WAIT_S)
     for entry in entries[1:-1]:  # none of these calls waits for the drawing, which is held
         view(entry)
     assert view.dropped == 90
@@ -83,7 +82,7 @@ def test_what_comes_faster_than_it_can_draw_is_dropped_and_shown_as_one_gap(
 
     monkeypatch.setattr(view._view, "flush", flushed)
     gate.open.set()
-    assert caught_up.wait(DEADLINE_S)
+    assert caught_up.wait(WAIT_S)
     view(entries[-1])
     drawn = ended(view, path)
     assert drawn.count("topic") == 12
@@ -95,7 +94,7 @@ def test_large_messages_are_bounded_by_their_bytes(tmp_path: Path, monkeypatch: 
     view = live(path, max_bytes=10_000)
     entries = messages(*(String("x" * 3000) for _ in range(10)))
     view(entries[0])
-    assert gate.arrived.wait(DEADLINE_S)
+    assert gate.arrived.wait(WAIT_S)
     for entry in entries[1:]:
         view(entry)
     gate.open.set()
@@ -114,7 +113,7 @@ def test_a_fault_in_the_drawing_costs_the_picture_and_nothing_else(
     view = live(path)
     first, second = messages(String("a"), String("b"))
     view(first)
-    view._thread.join(DEADLINE_S)
+    view._thread.join(WAIT_S)
     view(second)  # does nothing any more
     assert (view.failure, view.dropped) == ("ZeroDivisionError: oops", 1)
     ended(view, path)

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from igtl_gateway.addons.zenoh.inbox import Inbox, Waiting
-
-WAIT_S = 10.0
+from tests.timing import WAIT_S
 
 
 class Reader:

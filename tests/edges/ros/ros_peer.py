@@ -19,7 +19,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 
-TIMEOUT_S = 15
+TIMEOUT_S = 60
 
 
 def message_class(name: str) -> Any:

@@ -23,6 +23,7 @@ from igtl_gateway.edges.ros import direct, graph, publishing
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.ros.middleware import interface_class
 from igtl_gateway.gateway.log.note import Level, Note
+from tests.timing import WAIT_S
 
 pytest.importorskip("rclpy", reason='needs ROS 2: pip install "igtl-gateway[ros]", or source an installation')
 
@@ -31,7 +32,6 @@ TRANSFORM = "geometry_msgs/msg/TransformStamped"
 STRING = "std_msgs/msg/String"
 SLOW = "geometry_msgs/msg/Point"
 DEEP = Qos(depth=5000)
-TIMEOUT_S = 15.0
 POSE = {
     "header": {"stamp": {"sec": 7, "nanosec": 8}, "frame_id": "base"},
     "transform": {"translation": {"x": 0.1, "y": -2.0, "z": 3.5}, "rotation": {"w": 1.0}},
@@ -98,7 +98,7 @@ class Heard:
 
     def until(self, condition: Callable[[], bool]) -> bool:
         with self.changed:
-            return self.changed.wait_for(condition, TIMEOUT_S)
+            return self.changed.wait_for(condition, WAIT_S)
 
     def count(self, topic: str) -> int:
         return sum(message[0] == topic for message in self.messages)
@@ -115,7 +115,7 @@ class Heard:
 
 def wait_known(edge: RosEdge, topic: str) -> None:
     """Wait until the edge has discovered a subscriber: messages that are published before that are lost."""
-    pause, deadline = threading.Event(), time.monotonic() + TIMEOUT_S
+    pause, deadline = threading.Event(), time.monotonic() + WAIT_S
     while not edge._node.handle.count_subscribers(topic):
         assert time.monotonic() < deadline, f"no subscriber of {topic} was discovered"
         pause.wait(0.01)
@@ -135,7 +135,7 @@ def peer(_own_graph: None) -> Iterator[Peer]:
     yield peer
     assert peer.process.stdin
     peer.process.stdin.close()
-    assert peer.process.wait(TIMEOUT_S) == 0
+    assert peer.process.wait(WAIT_S) == 0
 
 
 @pytest.fixture(scope="module")
@@ -247,7 +247,7 @@ def test_own_topics_do_not_come_back(peer: Peer, edge: RosEdge, heard: Heard) ->
     assert peer.readers("/echo/both", 1)
     peer.subscribe("/echo/both", STRING, {"depth": DEEP.depth})
     edge.advertise("/echo/both", STRING, DEEP)
-    assert edge.wait_for_subscribers("/echo/both", 1, TIMEOUT_S)
+    assert edge.wait_for_subscribers("/echo/both", 1, WAIT_S)
     assert peer.writers("/echo/both", 2)
     for _ in range(200):
         edge.publish("/echo/both", STRING, string_cdr("same"), DEEP)
@@ -268,7 +268,7 @@ def test_late_subscriber_gets_the_latched_message(peer: Peer, edge: RosEdge) -> 
     peer.subscribe("/latched", STRING, {"depth": 1, "latched": True})
     [[_, fields]] = peer.take("/latched", 1)
     assert fields == {"data": "plan"}
-    assert edge.wait_for_subscribers("/latched", 1, TIMEOUT_S)
+    assert edge.wait_for_subscribers("/latched", 1, WAIT_S)
 
 
 def test_latched_messages_of_all_topics_have_a_bound(peer: Peer) -> None:
@@ -290,7 +290,7 @@ def test_latched_messages_of_all_topics_have_a_bound(peer: Peer) -> None:
         )
         for topic in ("/bounded/plan", *topics[1:]):
             peer.subscribe(topic, STRING, {"depth": 5, "latched": True})
-            assert edge.wait_for_subscribers(topic, 1, TIMEOUT_S)
+            assert edge.wait_for_subscribers(topic, 1, WAIT_S)
         for topic in topics[:2]:
             edge.publish(topic, STRING, string_cdr("live"), latched)
         assert [fields["data"] for _, fields in peer.take(topics[0], 2)] == [large, "live"]
@@ -311,7 +311,7 @@ def test_what_is_held_for_subscribers_has_a_bound_for_all_topics(monkeypatch: py
     try:
         for topic, size in sizes.items():
             edge.publish(topic, STRING, string_cdr("x" * size), Qos())
-        assert edge._node.wait(lambda: edge.counters()["/held/scan"]["published"] == 1, TIMEOUT_S)
+        assert edge._node.wait(lambda: edge.counters()["/held/scan"]["published"] == 1, WAIT_S)
         assert edge.counters()["/held/scan"]["published"] == 1
         assert [edge.counters()[topic]["held"] for topic in sizes] == [1, 1, 0]
         assert [note.stream for note in heard.notes if note.code == "ros_hold_overflow"] == ["/held/scan"]
@@ -364,7 +364,7 @@ def test_messages_that_a_short_queue_loses_are_counted(peer: Peer, edge: RosEdge
         collect(topic, type_name, cdr, source_ns)
         if topic == "/short":
             blocked.set()
-            go_on.wait(TIMEOUT_S)
+            go_on.wait(WAIT_S)
 
     own = Heard()
     other = RosEdge(node_name="slow", on_message=slow, wants=own.wants, on_note=own.on_note)
@@ -375,7 +375,7 @@ def test_messages_that_a_short_queue_loses_are_counted(peer: Peer, edge: RosEdge
         assert peer.readers("/short", 1)
         assert own.until(lambda: "ros_subscribed" in own.codes("/short"))
         peer.publish("/short", {"data": "blocks"})
-        assert blocked.wait(TIMEOUT_S)
+        assert blocked.wait(WAIT_S)
         peer.publish_many("/short", {}, "data", 50)
         go_on.set()
         assert heard.until(lambda: heard.of("/short")[-1:] == strings("49"))
@@ -418,7 +418,7 @@ def test_a_publisher_that_takes_long_to_make_delays_no_message(
     compiled = threading.Event()
 
     def slow_class(type_name: str) -> Any:
-        assert type_name != SLOW or compiled.wait(TIMEOUT_S)
+        assert type_name != SLOW or compiled.wait(WAIT_S)
         return interface_class(type_name)
 
     peer.subscribe("/slow/other", STRING, {})
@@ -450,7 +450,7 @@ def test_more_held_messages_than_the_depth_of_the_reader_all_arrive(
     sent = [string_cdr(str(number)) for number in range(200)]
     for cdr in sent:
         edge.publish("/held/many", STRING, cdr, DEEP)
-    assert edge.wait_for_subscribers("/held/many", 1, TIMEOUT_S)
+    assert edge.wait_for_subscribers("/held/many", 1, WAIT_S)
     threading.Timer(0.2, released.set).start()
     assert [cdr for cdr, _ in peer.take("/held/many", 200)] == [carried(cdr).hex() for cdr in sent]
 
@@ -465,7 +465,7 @@ def test_beyond_a_usual_number_publishers_are_made_with_rests(monkeypatch: pytes
         for number in range(6):
             edge.publish(f"/rest/of{number}", STRING, string_cdr("first"), Qos())
         made = edge._publishing
-        assert edge._node.wait(lambda: sum(one.is_made for one in made.all()) >= 3, TIMEOUT_S)
+        assert edge._node.wait(lambda: sum(one.is_made for one in made.all()) >= 3, WAIT_S)
         assert not edge._node.wait(lambda: sum(one.is_made for one in made.all()) > 3, 0.3)
     finally:
         edge.stop()  # which does not wait for the rest
@@ -489,7 +489,7 @@ def test_a_reader_of_another_vendor_gets_the_first_message(
     peer.subscribe("/foreign", STRING, {})
     wait_known(edge, "/foreign")
     edge.publish("/foreign", STRING, string_cdr("first"), Qos())
-    assert edge.wait_for_subscribers("/foreign", 1, TIMEOUT_S)
+    assert edge.wait_for_subscribers("/foreign", 1, WAIT_S)
     assert not edge.wait_ready(0.1)
     assert edge.counters()["/foreign"]["held"] == 1
     monkeypatch.setattr(publishing, "FOREIGN_NS", 0)
@@ -503,7 +503,7 @@ def test_a_bad_name_that_waits_for_its_publisher_stops_no_other_topic(
     compiled = threading.Event()
 
     def slow_class(type_name: str) -> Any:
-        assert compiled.wait(TIMEOUT_S)
+        assert compiled.wait(WAIT_S)
         return interface_class(type_name)
 
     monkeypatch.setattr(publishing, "interface_class", slow_class)
@@ -511,7 +511,7 @@ def test_a_bad_name_that_waits_for_its_publisher_stops_no_other_topic(
     assert not edge.wait_ready(0.5)
     compiled.set()
     assert heard.until(partial(has_failed, edge, "/bad name/held", 1))
-    assert edge.wait_ready(TIMEOUT_S)
+    assert edge.wait_ready(WAIT_S)
 
 
 def test_unknown_type_of_a_publisher_is_noted_once(
@@ -608,7 +608,7 @@ def test_stop_is_final_and_quiet(peer: Peer) -> None:
     assert edge.counters()["/stopped"]["failed"] == 1
     assert edge.counters()["/stopped/early"]["failed"] == 1
     assert edge.subscriber_count("/stopped") == 0
-    assert not edge.wait_for_subscribers("/stopped", 1, TIMEOUT_S)
+    assert not edge.wait_for_subscribers("/stopped", 1, WAIT_S)
     with pytest.raises(RosError, match="starts once"):
         edge.start()
 
@@ -643,7 +643,7 @@ def test_interrupt_reaches_python_and_a_forgotten_edge_ends_cleanly() -> None:
     assert process.stdout
     assert process.stdout.readline() == "up\n"
     process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=TIMEOUT_S)
+    out, err = process.communicate(timeout=WAIT_S)
     assert (process.returncode, out, err) == (0, "interrupted True\n", "")
 
 

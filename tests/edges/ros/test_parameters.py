@@ -16,10 +16,10 @@ from igtl_gateway.edges.ros.middleware import import_rclpy, interface_class
 from igtl_gateway.edges.ros.parameters import description, overrides
 from tests.cli.test_settings import mistakes, told
 from tests.tables import table
+from tests.timing import WAIT_S
 
 pytest.importorskip("rclpy", reason='needs ROS 2: pip install "igtl-gateway[ros]", or source an installation')
 
-TIMEOUT_S = 20.0
 FILE = """
 /**:
   ros__parameters:
@@ -53,9 +53,9 @@ class Other:
         service = interface_class(f"rcl_interfaces/srv/{kind}")
         if name not in self._clients:
             self._clients[name] = self._node.create_client(service, f"/or1/gw/{name}")
-            assert self._clients[name].wait_for_service(TIMEOUT_S)
+            assert self._clients[name].wait_for_service(WAIT_S)
         future = self._clients[name].call_async(service.Request(**request))
-        self._executor.spin_until_future_complete(future, TIMEOUT_S)
+        self._executor.spin_until_future_complete(future, WAIT_S)
         return future.result()
 
     def set(self, name: str, value: Any) -> tuple[bool, str]:

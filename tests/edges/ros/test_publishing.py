@@ -13,7 +13,8 @@ from igtl_gateway.base.qos import Qos
 from igtl_gateway.edges.ros import graph, publishing
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.gateway.orders import Order
-from tests.edges.ros.test_edge import STRING, TIMEOUT_S, Heard, Peer, carried, string_cdr, wait_known
+from tests.edges.ros.test_edge import STRING, Heard, Peer, carried, string_cdr, wait_known
+from tests.timing import WAIT_S
 
 pytest.importorskip("rclpy", reason='needs ROS 2: pip install "igtl-gateway[ros]", or source an installation')
 
@@ -34,7 +35,7 @@ def peer(_own_graph: None) -> Iterator[Peer]:
     yield peer
     assert peer.process.stdin
     peer.process.stdin.close()
-    assert peer.process.wait(TIMEOUT_S) == 0
+    assert peer.process.wait(WAIT_S) == 0
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +62,7 @@ def code(edge: RosEdge, one: Order) -> str:
 
 
 def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + TIMEOUT_S
+    deadline = time.monotonic() + WAIT_S
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.01)
@@ -70,7 +71,7 @@ def until(condition: Callable[[], bool]) -> None:
 def expected(edge: RosEdge, topic: str) -> None:
     """Have the publisher of a topic made."""
     edge.expect_orders(topic, STRING, Qos(1), AGE_NS)
-    assert edge._node.wait(lambda: edge._publishing._publishers[topic].is_made, TIMEOUT_S)
+    assert edge._node.wait(lambda: edge._publishing._publishers[topic].is_made, WAIT_S)
 
 
 def test_a_subscriber_that_never_matches_holds_no_command(peer: Peer, edge: RosEdge) -> None:
@@ -190,10 +191,10 @@ def test_what_is_held_is_not_sent_when_it_is_too_old(
     for text, until_ns in (("old", now_ns + 1), ("in time", now_ns + 3_600_000_000_000), ("without", 0)):
         edge.publish(topic, STRING, string_cdr(text), Qos(), until_ns)
     edge.publish(topic, STRING, string_cdr("old, too"), Qos(), now_ns + 1)
-    assert edge.wait_for_subscribers(topic, 1, TIMEOUT_S)
+    assert edge.wait_for_subscribers(topic, 1, WAIT_S)
     released.set()
     assert [fields["data"] for _, fields in peer.take(topic, 2)] == ["in time", "without"]
-    assert edge.wait_ready(TIMEOUT_S)
+    assert edge.wait_ready(WAIT_S)
     counts = edge.counters()[topic]
     assert (counts["published"], counts["unwritten"], counts["held"], counts["failed"]) == (2, 2, 0, 0)
     assert heard.until(lambda: "ros_held_old" in heard.codes(topic))

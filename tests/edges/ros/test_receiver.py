@@ -21,8 +21,7 @@ import pytest
 
 from igtl_gateway.edges.ros.receiver import DirectReceiver
 from tests.places import ROOT
-
-TIMEOUT_S = 10.0
+from tests.timing import WAIT_S
 
 
 class Subscription:
@@ -98,7 +97,7 @@ class WaitSet:
 
     def wait(self, _timeout_ns: int) -> None:
         if not any(entry.queue for entry in self.entries):
-            assert self.guard.wait(TIMEOUT_S)
+            assert self.guard.wait(WAIT_S)
         self.guard.clear()
         self.ready = [entry.pointer for entry in self.entries if entry.queue]
 
@@ -137,7 +136,7 @@ def test_every_topic_comes_to_its_turn_and_keeps_its_order() -> None:
     receiver.add(Subscription(busy, log))
     receiver.add(Subscription(["b0", "b1"], log))
     receiver.start()
-    assert log.done.wait(TIMEOUT_S)
+    assert log.done.wait(WAIT_S)
     receiver.stop()
     assert [line for line in log.lines if line[0] == "a"] == busy
     assert log.lines.index("b1") < 100
@@ -148,7 +147,7 @@ def test_subscription_may_be_added_while_it_waits() -> None:
     receiver = log.receiver()
     receiver.start()
     receiver.add(Subscription(["late"], log))
-    assert log.done.wait(TIMEOUT_S)
+    assert log.done.wait(WAIT_S)
     receiver.stop()
 
 
@@ -158,7 +157,7 @@ def test_refusal_of_one_topic_is_reported_and_the_others_go_on() -> None:
     receiver.add(Subscription(["x"], log, fails=True))
     receiver.add(Subscription(["good"], log))
     receiver.start()
-    assert log.done.wait(TIMEOUT_S)
+    assert log.done.wait(WAIT_S)
     receiver.stop()
     assert (log.lines, log.errors) == (["good"], ["the middleware refuses"])
 

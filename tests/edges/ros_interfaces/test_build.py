@@ -19,13 +19,13 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from igtl_gateway.convert.interfaces import PACKAGES, interface_files
 from tests.tables import table
+from tests.timing import WAIT_S
 
 pytest.importorskip("ros_wheels_bootstrapper", reason="the packages are compiled for the ROS wheels only")
 pytestmark = pytest.mark.ros
 
 NODE = Path(__file__).with_name("typed_node.py")
 #: Far longer than any expected delay.
-TIMEOUT_S = 20.0
 TYPES = [
     f"{package}/msg/{path.stem}" for package in PACKAGES for path in interface_files(package) if "msg" in path.parts
 ]
@@ -117,7 +117,7 @@ class Here:
         clock = self.node.get_clock()
         begin = clock.now()
         while not condition():
-            assert (clock.now() - begin).nanoseconds < TIMEOUT_S * 1e9, "this did not happen"
+            assert (clock.now() - begin).nanoseconds < WAIT_S * 1e9, "this did not happen"
             self.executor.spin_once(timeout_sec=0.1)
 
     def close(self) -> None:
@@ -137,7 +137,7 @@ def there() -> Iterator[subprocess.Popen[str]]:
         yield process
         assert process.stdin
         process.stdin.close()
-        assert process.wait(TIMEOUT_S) == 0
+        assert process.wait(WAIT_S) == 0
 
 
 @pytest.fixture(scope="module")

@@ -73,10 +73,10 @@ from tests.gateway.fastpath.test_cache import (
     tracked,
 )
 from tests.native.middleware import Middleware, RosEdge
+from tests.timing import WAIT_S
 
 pytestmark = pytest.mark.skipif(not is_compiled(), reason="the package was installed without its native passage")
 
-TIMEOUT_S = 20.0
 EPISODE_NS = NS_PER_S
 TOPIC, POSES = "/igtl/out/tool", "/igtl/out/pose"
 HERE = ("127.0.0.1", 0)
@@ -97,7 +97,7 @@ class Peer:
     def close(self) -> None:
         with suppress(OSError):  # the bridge has closed it
             self.socket.shutdown(socket.SHUT_RDWR)
-        self._thread.join(TIMEOUT_S)
+        self._thread.join(WAIT_S)
         self.socket.close()
 
     def _read(self) -> None:
@@ -151,7 +151,7 @@ class Scene:
 
 
 def wait_for(condition: Any) -> None:
-    until = time.monotonic() + TIMEOUT_S
+    until = time.monotonic() + WAIT_S
     while not condition():
         assert time.monotonic() < until, "it took too long"
         time.sleep(0.002)
@@ -769,7 +769,7 @@ def test_the_rest_of_a_picture_is_sent_to_a_peer_that_reads(monkeypatch: pytest.
             wait_for(lambda number=number: read[0] > (number + 1) * len(pixels))
         assert here.native == 1
         assert len(queued) <= count // 2  # a busy host might be late; before, all of them
-    reader.join(TIMEOUT_S)
+    reader.join(WAIT_S)
 
 
 def _read_all(peer: socket.socket, read: list[int]) -> None:
@@ -960,7 +960,7 @@ def test_a_peer_that_does_not_read_loses_what_python_counts(monkeypatch: pytest.
         assert counts.sent_messages + counts.queued_messages + sum(counts.dropped.values()) == total
         framer = Framer()
         messages: list[bytes | memoryview] = []
-        peer.settimeout(TIMEOUT_S)
+        peer.settimeout(WAIT_S)
         while len(messages) < total - sum(here.bridge.tcp.counters()[1].dropped.values()):
             messages += framer.feed(peer.recv(1 << 20))
         places = [struct.unpack_from(">f", message, len(message) - 12)[0] for message in messages]
@@ -1083,7 +1083,7 @@ def test_poses_that_waited_for_a_lock_pass_natively(monkeypatch: pytest.MonkeyPa
                 sending = threading.Thread(target=send_rest)
                 sending.start()
                 time.sleep(0.1)  # more than a thread of the middleware waits
-            sending.join(TIMEOUT_S)
+            sending.join(WAIT_S)
             wait_for(lambda: len(peer.received) == 50)
         assert handled == []
         assert len(taken) == before
@@ -1102,7 +1102,7 @@ def test_a_thread_of_the_middleware_receives_on_while_python_has_the_lock(monkey
             sending = threading.Thread(target=here.send_ros, args=(pose(number),))
             with here.bridge.hub.sequence:
                 sending.start()
-                sending.join(TIMEOUT_S)
+                sending.join(WAIT_S)
                 assert not sending.is_alive()
             wait_for(lambda: len(peer.received) == number + 1)  # noqa: B023 (called before the next number)
 
@@ -1372,7 +1372,7 @@ def test_messages_pass_natively_while_an_oddity_of_their_stream_is_recent(
         send(1, begin_ns)
         odd_ns = time.monotonic_ns()
         assert not send(2, begin_ns - NS_PER_S)  # Python begins the episode
-        until = time.monotonic() + TIMEOUT_S
+        until = time.monotonic() + WAIT_S
         passed: list[int] = []
         while (native := send(3 + len(passed), time.time_ns())) or time.monotonic_ns() - odd_ns < EPISODE_NS:
             assert time.monotonic() < until, "the episode does not end"

@@ -33,8 +33,8 @@ from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway_lab.simulate.every_igtl import contents
 from tests.costly import TABLE, Costly
 from tests.tables import table
+from tests.timing import WAIT_S
 
-TIMEOUT_S = 20.0
 T0_NS = 1_800_000_000 * NS_PER_S
 
 
@@ -183,20 +183,20 @@ def test_a_pose_does_not_wait_for_the_surface_of_another_peer(monkeypatch: pytes
 
     def waits(content: PolyData) -> object:
         begun.set()
-        assert go_on.wait(TIMEOUT_S)
+        assert go_on.wait(WAIT_S)
         return triangles(content)
 
     monkeypatch.setattr(surfaces, "_triangles", waits)
     sending = threading.Thread(target=hub.igtl, args=(1, surface))
     sending.start()
-    assert begun.wait(TIMEOUT_S)
+    assert begun.wait(WAIT_S)
     passing = threading.Thread(target=hub.igtl, args=(2, pose))
     passing.start()
-    passing.join(TIMEOUT_S / 4)
+    passing.join(WAIT_S / 4)
     has_passed = not passing.is_alive()
     go_on.set()
     for thread in (sending, passing):
-        thread.join(TIMEOUT_S)
+        thread.join(WAIT_S)
     assert has_passed
     types = [entry.type for entry in log if entry.kind is Kind.IGTL_IN]
     assert types == ["POLYDATA", "TRANSFORM", "POLYDATA"]

@@ -17,8 +17,7 @@ from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.text import String
 from igtl_gateway_lab.simulate.actor import ActorProtocol, ActorReport, Publishes, Received, Sent
 from igtl_gateway_lab.stage.actor import ActorProgram, IgtlEndpoint
-
-TIMEOUT_S = 10.0
+from tests.timing import WAIT_S
 
 
 class Echo:
@@ -62,7 +61,7 @@ class Peer:
 
     def __init__(self, connection: socket.socket) -> None:
         self._socket = connection
-        self._socket.settimeout(TIMEOUT_S)
+        self._socket.settimeout(WAIT_S)
 
     def send(self, text: str) -> None:
         self._socket.sendall(join(encode(Message("STRING", "Peer", String.of(text)))))
@@ -103,7 +102,7 @@ class Running:
 
     def wait(self, name: str) -> dict[str, Any]:
         with self._changed:
-            assert self._changed.wait_for(lambda: name in self.names(), TIMEOUT_S), self.to_row
+            assert self._changed.wait_for(lambda: name in self.names(), WAIT_S), self.to_row
         return next(event for event in self.to_row if event["event"] == name)
 
     def names(self) -> list[str]:
@@ -111,7 +110,7 @@ class Running:
 
     def end(self) -> dict[str, Any]:
         self.program.end()
-        self._thread.join(TIMEOUT_S)
+        self._thread.join(WAIT_S)
         assert not self._thread.is_alive()
         return self.to_row[-1]
 
@@ -135,7 +134,7 @@ def running() -> Iterator[Run]:
 @pytest.fixture
 def listener() -> Iterator[socket.socket]:
     with socket.create_server(("127.0.0.1", 0)) as sock:
-        sock.settimeout(TIMEOUT_S)
+        sock.settimeout(WAIT_S)
         yield sock
 
 
@@ -166,7 +165,7 @@ def test_it_says_nothing_before_it_begins_and_reports_at_the_end(running: Run, l
 def test_as_a_server_it_tells_its_port(running: Run) -> None:
     echo = running(IgtlEndpoint(("127.0.0.1", 0), server=True))
     port = echo.wait("listening")["port"]
-    with socket.create_connection(("127.0.0.1", port), TIMEOUT_S) as connection:
+    with socket.create_connection(("127.0.0.1", port), WAIT_S) as connection:
         echo.wait("ready")
         echo.program.begin()
         assert Peer(connection).receive() == "hello"
