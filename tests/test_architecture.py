@@ -77,10 +77,10 @@ LEVELS = {
 DOOR = "addon"
 #: Add-on → modules of other add-ons that it uses where they are installed; below ``addons``.
 NEIGHBOURS = {
-    "cohort": ("review", "review.recorded", "sync.lag", "sync.lags"),
+    "cohort": ("review", "review.choices", "review.recorded", "sync.lag", "sync.lags"),
     "lerobot": ("sync.lag", "sync.lags", "sync.signal"),
-    "merge": ("sync.lag", "sync.lags", "sync.verb"),
-    "view": ("review", "sync.curves", "sync.lag", "sync.lags", "sync.signal", "sync.verb"),
+    "merge": ("sync.lag", "sync.lags", "sync.verb_run"),
+    "view": ("review", "sync.curves", "sync.lag", "sync.lags", "sync.signal", "sync.verb_run"),
 }
 
 #: Programs that play foreign software: of our modules they may use only their own, of outside libraries any.
@@ -272,6 +272,7 @@ UNMIRRORED = (
     "cli/test_file_modes.py",  # outputs of every verb
     "cli/test_exit_codes.py",  # every verb's, docs/reference/command-line.md
     "cli/test_main.py",  # the verbs' common entry, cli/__init__.py
+    "cli/test_start.py",  # what every verb imports
     "addons/test_absent.py",  # base/addons.py, and what each add-on needs
     "test_architecture.py",
     "test_try_extras.py",  # tools/try_extras.py

@@ -30,7 +30,7 @@ from igtl_gateway.app.mark_service import SERVICE as MARK_SERVICE
 from igtl_gateway.app.metrics import METRICS
 from igtl_gateway.app.recording import PAUSE, RESUME, SNAPSHOT, SPLIT, START, STOP
 from igtl_gateway.app.recording import TYPE as TRIGGER
-from igtl_gateway.app.replay_options import REPLAY
+from igtl_gateway.app.replay_settings import REPLAY
 from igtl_gateway.app.ros_traffic import MARKS
 from igtl_gateway.base.extras import PURPOSES
 from igtl_gateway.base.qos import Qos

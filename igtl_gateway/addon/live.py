@@ -11,11 +11,11 @@ if TYPE_CHECKING:
     from igtl_gateway.app.note_rate import Event as NoteEvent
     from igtl_gateway.app.player import Player as Player
     from igtl_gateway.app.recording import ACTIONS as RECORDING_ACTIONS
-    from igtl_gateway.app.replay_options import REPLAY as REPLAY_SETTINGS
-    from igtl_gateway.app.replay_options import SIDES as REPLAY_SIDES
     from igtl_gateway.app.replay_options import ReplayOptions as ReplayOptions
-    from igtl_gateway.app.replay_options import Side as ReplaySide
     from igtl_gateway.app.replay_plan import plan_replay as plan_replay
+    from igtl_gateway.app.replay_settings import REPLAY as REPLAY_SETTINGS
+    from igtl_gateway.app.replay_settings import SIDES as REPLAY_SIDES
+    from igtl_gateway.app.replay_settings import Side as ReplaySide
     from igtl_gateway.app.replay_sides import ReplaySides as ReplaySides
     from igtl_gateway.app.replaying import ReplayEvents as ReplayEvents
     from igtl_gateway.app.replaying import run_replay as run_replay
@@ -36,7 +36,8 @@ HOMES: Homes = (
     ("gateway.diagnostics", "RHYTHM_HZ SILENT_NS"),
     # Replays
     ("app.player", "Player"),
-    ("app.replay_options", "REPLAY_SETTINGS=REPLAY REPLAY_SIDES=SIDES ReplayOptions ReplaySide=Side"),
+    ("app.replay_options", "ReplayOptions"),
+    ("app.replay_settings", "REPLAY_SETTINGS=REPLAY REPLAY_SIDES=SIDES ReplaySide=Side"),
     ("app.replay_plan", "plan_replay"),
     ("app.replay_sides", "ReplaySides"),
     ("app.replaying", "ReplayEvents run_replay"),

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from igtl_gateway.config.setting import ROS_GRAPH as ROS_GRAPH
     from igtl_gateway.config.setting import Setting as Setting
     from igtl_gateway.config.setting import grouped as grouped
-    from igtl_gateway.convert.profiles import AUTO as AUTO_PROFILE
+    from igtl_gateway.convert.choices import AUTO as AUTO_PROFILE
     from igtl_gateway.edges.video.options import ENCODERS as ENCODERS
     from igtl_gateway.gateway.acceptance import DEFAULT_ACCEPTANCE as DEFAULT_ACCEPTANCE
     from igtl_gateway.gateway.acceptance import Acceptance as Acceptance
@@ -38,7 +38,7 @@ HOMES: Homes = (
     ("config.configuration", "Config PeerRow TfOutRow ToRosRow read_toml"),
     ("gateway.acceptance", "Acceptance DEFAULT_ACCEPTANCE"),
     # Choices: profiles of peers, encoders of video
-    ("convert.profiles", "AUTO_PROFILE=AUTO"),
+    ("convert.choices", "AUTO_PROFILE=AUTO"),
     ("edges.video.options", "ENCODERS"),
 )
 

@@ -36,17 +36,18 @@ if TYPE_CHECKING:
     from igtl_gateway.api.posing import transforms_of as transforms_of
     from igtl_gateway.gateway.log.interleaving import Interleaving as Interleaving
     from igtl_gateway.gateway.log.joining import END_NS as END_NS
-    from igtl_gateway.gateway.log.joining import GAP_NS as GAP_NS
     from igtl_gateway.gateway.log.joining import pick as pick
     from igtl_gateway.gateway.log.one_clock import OneClock as OneClock
     from igtl_gateway.gateway.log.one_clock import StreamTimes as StreamTimes
     from igtl_gateway.gateway.log.one_clock import one_clock as one_clock
+    from igtl_gateway.gateway.log.timing import GAP_NS as GAP_NS
 
 HOMES: Homes = (
     # Two streams: one clock for both, and the messages that belong to a moment
     ("gateway.log.one_clock", "OneClock StreamTimes one_clock"),
     ("gateway.log.interleaving", "Interleaving"),
-    ("gateway.log.joining", "END_NS GAP_NS pick"),
+    ("gateway.log.joining", "END_NS pick"),
+    ("gateway.log.timing", "GAP_NS"),
     # Poses, and numbers of joints by their names
     ("api.poses", "between_poses matrices_of"),
     ("api.posing", "tools_of transforms_of"),

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from os import PathLike, fspath
 from typing import Any, TypeVar
 
-from igtl_gateway.app.replay_options import REPLAY
+from igtl_gateway.app.replay_settings import REPLAY
 from igtl_gateway.app.rows import rows_of
 from igtl_gateway.base.addons import check_setting
 from igtl_gateway.base.errors import ConfigError, RecordingError, Unavailable

@@ -23,8 +23,9 @@ from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.frames import frame_id
 from igtl_gateway.convert.names import frames_of_name
 from igtl_gateway.convert.rosmsg import TransformStamped
-from igtl_gateway.gateway.log.joining import GAP_NS, pick
+from igtl_gateway.gateway.log.joining import pick
 from igtl_gateway.gateway.log.one_clock import GATEWAY, SOURCE, OneClock, StreamTimes, one_clock
+from igtl_gateway.gateway.log.timing import GAP_NS
 
 Array = npt.NDArray[Any]
 Times = npt.NDArray[np.int64]

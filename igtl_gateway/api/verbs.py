@@ -14,7 +14,8 @@ from typing import Any
 from igtl_gateway.api.keywords import of_a_replay, replay_values, ros_arguments, texts, with_keywords
 from igtl_gateway.api.recording import Recording, session_of
 from igtl_gateway.app.comparison import RecordingDiff, compare_sessions
-from igtl_gateway.app.replay_options import REPLAY, ReplayOptions, To
+from igtl_gateway.app.replay_options import ReplayOptions
+from igtl_gateway.app.replay_settings import REPLAY, To
 from igtl_gateway.app.replaying import ReplayEvents, ReplayResult, run_replay
 from igtl_gateway.app.verification import Verification, verify_session
 from igtl_gateway.base.errors import ConfigError, GatewayError

@@ -18,7 +18,8 @@ from dataclasses import dataclass, field, replace
 from igtl_gateway.base.buffers import Buffer, join
 from igtl_gateway.base.errors import WireError
 from igtl_gateway.config.configuration import Config
-from igtl_gateway.convert.profiles import AUTO, DEFAULT, UNRECOGNISED, PeerProfile
+from igtl_gateway.convert.choices import AUTO
+from igtl_gateway.convert.profiles import DEFAULT, UNRECOGNISED, PeerProfile
 from igtl_gateway.convert.substitutes import Shown
 from igtl_gateway.gateway.acceptance import DEFAULT_ACCEPTANCE, Acceptance
 from igtl_gateway.gateway.log.entry import Entry, Kind

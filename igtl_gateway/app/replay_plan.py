@@ -10,7 +10,7 @@ from itertools import chain, groupby
 from operator import itemgetter
 
 from igtl_gateway.app.replay_listeners import Listeners
-from igtl_gateway.app.replay_options import Side
+from igtl_gateway.app.replay_settings import Side
 from igtl_gateway.app.rows import send_row
 from igtl_gateway.base.errors import ConfigError, RosError
 from igtl_gateway.base.near import did_you_mean, near_streams, unmatched, without_match

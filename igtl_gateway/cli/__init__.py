@@ -125,6 +125,8 @@ def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **e
         parser.print_help()
         return USAGE
     try:
+        with extras.in_use():
+            run = options.runner()
         if ready is not None:
             ready()
         with (
@@ -134,7 +136,7 @@ def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **e
             files_with_mode(notations.file_mode(getattr(options, "file_mode", None) or "0600"), umask=True),
             _bounded(known[asked]) if known[asked].is_bounded else nullcontext(),
         ):
-            code = int(options.run(options))
+            code = int(run(options))
         flush_outputs()
         return code
     except (ConfigError, UnsupportedRecording) as error:
@@ -222,9 +224,10 @@ def _verbs(parser: Parser) -> argparse._SubParsersAction[Parser]:
 
 
 def complete(parser: argparse.ArgumentParser, verb: Verb) -> None:
-    """Add description, options, examples and the function ``run`` of a verb to its parser; imports its module.
+    """Add description, options, examples and ``runner`` of a verb to its parser; imports its module.
 
-    The module may have ``COMMON``, the options that the short help shows.
+    The module may have ``COMMON``, the options that the short help shows.  A module has ``run`` itself, or ``runner()``
+    that imports and returns it: what only ``run`` needs is not imported for the help.
     """
     module = importlib.import_module(verb.module)
     module.add_arguments(parser)
@@ -237,7 +240,7 @@ def complete(parser: argparse.ArgumentParser, verb: Verb) -> None:
         parser.shorten_help(module.COMMON)
     parser.description = verb.help[0].upper() + verb.help[1:] + "."
     parser.epilog = "examples:\n" + module.EXAMPLES
-    parser.set_defaults(run=module.run)
+    parser.set_defaults(runner=module.runner if hasattr(module, "runner") else lambda: module.run)
 
 
 def _bounded(verb: Verb) -> AbstractContextManager[None]:

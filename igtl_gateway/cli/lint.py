@@ -3,15 +3,9 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 
-from igtl_gateway.app.linting import observe
-from igtl_gateway.base.errors import DamagedRecording
-from igtl_gateway.cli.common import count_text
 from igtl_gateway.cli.options import add_config, add_file, add_json
-from igtl_gateway.cli.terminal import print_json, print_line
-from igtl_gateway.doctor.report import DoctorReport
-from igtl_gateway.record.sessionfile.reader import SessionFile
-from igtl_gateway.record.sessionfile.salvage import Salvage
 
 EXAMPLES = """\
   # findings about stamps, names, units, CRCs, header versions, losses
@@ -28,21 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_json(parser)
 
 
-def run(options: argparse.Namespace) -> int:
-    try:
-        with SessionFile.open(options.file) as file:
-            seen = observe(file, options.config)
-    except DamagedRecording as error:
-        if options.file.is_dir():
-            raise  # it names the part that is damaged
-        with Salvage.open(options.file) as salvage:
-            seen = observe(salvage, options.config)
-        seen.damage = str(error)
-    report = DoctorReport.of(seen)
-    if options.json:
-        print_json({"file": str(options.file)} | report.to_dict())
-    else:
-        print_line(f"{options.file}: {count_text(len(seen.streams), 'OpenIGTLink stream')}")
-        for line in report.lines():
-            print_line(line)
-    return int(report.failed)
+def runner() -> Callable[[argparse.Namespace], int]:
+    from igtl_gateway.cli.lint_run import run  # here: the help does not wait for it
+
+    return run

@@ -18,6 +18,8 @@ from igtl_gateway.config.notations import STREAM
 
 T = TypeVar("T")
 
+#: Name of the node of a bridge, unless ROS arguments have another one.
+NODE_NAME = "igtl_gateway"
 DEFAULT_HOST, DEFAULT_PORT = notations.DEFAULT_HOST, notations.DEFAULT_PORT
 
 RECORDING = "recording (MCAP)"

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
-from igtl_gateway.app.sealing import seal_recording, stamp_recording
-from igtl_gateway.cli.common import size_text
 from igtl_gateway.cli.options import RECORDING_OR_BAG, add_file, add_output, add_overwrite, new_recording
-from igtl_gateway.cli.terminal import print_line
 
 EXAMPLES = """\
   # write a sealed copy of a recording
@@ -32,11 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_overwrite(parser, "OUT")
 
 
-def run(options: argparse.Namespace) -> int:
-    if options.time_stamp:
-        digest, size = stamp_recording(options.file, options.time_stamp, options.output, overwrite=options.overwrite)
-        print_line(f"{options.output}: {size_text(size)}, with the time stamp of the seal {digest}")
-        return 0
-    key, size = seal_recording(options.file, options.key, options.output, overwrite=options.overwrite)
-    print_line(f"{options.output}: {size_text(size)}, sealed by key {key}")
-    return 0
+def runner() -> Callable[[argparse.Namespace], int]:
+    from igtl_gateway.cli.seal_run import run  # here: the help does not wait for it
+
+    return run

@@ -7,8 +7,6 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from igtl_gateway.app import setting_values
-from igtl_gateway.app.rows import rows_of
 from igtl_gateway.base.addons import ADDON_SETTINGS, check_setting, is_present
 from igtl_gateway.cli.options import Options, StoredOption, default, definitions, keep_spellings, parser_of
 from igtl_gateway.config.faults import FAULTS
@@ -107,6 +105,8 @@ def _help(row: Setting, text: str) -> str:
 
 def given(options: argparse.Namespace, rows: Iterable[Setting]) -> dict[str, Any]:
     """Return the settings that the command line has.  Raises ConfigError for rows of messages."""
+    from igtl_gateway.app.rows import rows_of  # here: the help needs no conversions
+
     values: dict[str, Any] = {}
     for row in rows:
         found = getattr(options, row.flag.lstrip("-").replace("-", "_"), None) if row.flag else None
@@ -151,4 +151,6 @@ def values_with_effect(
 
 def settled(options: argparse.Namespace, overrides: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of all settings of a bridge, see ``app.setting_values``.  Raises ConfigError."""
+    from igtl_gateway.app import setting_values  # here: as above
+
     return setting_values.settled(given(options, all_settings()), overrides)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from igtl_gateway.cli.terminal import aligned
 from igtl_gateway.config.configuration import Config
+from igtl_gateway.convert.choices import AUTO
 from igtl_gateway.convert.igtl_msgs import Query
-from igtl_gateway.convert.profiles import AUTO
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, ConversionToRos, Role
 
 #: A row with more types than this is the one of the queries.

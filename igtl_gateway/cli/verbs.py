@@ -33,8 +33,8 @@ class Verb:
 
     Attributes:
         help: one line of help.
-        module: full name of the module that has ``EXAMPLES``, ``add_arguments(parser)`` and ``run(options) -> int``;
-            it is imported only when the verb is requested.
+        module: full name of the module that has ``EXAMPLES``, ``add_arguments(parser)`` and ``run(options) -> int``, or
+            ``runner()`` that imports and returns ``run``; it is imported only when the verb is requested.
         reads_files: whether it reads untrusted files; such a verb has ``--limit``.
         writes_files: whether it writes files and has no setting for their mode; such a verb has ``--file-mode``.
         group: where the help lists it, of ``GROUPS``.

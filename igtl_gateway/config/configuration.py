@@ -107,8 +107,8 @@ from igtl_gateway.config.settings import (
 )
 from igtl_gateway.convert import crtk
 from igtl_gateway.convert.arms import ArmsRow, arms_of_profile, arms_row
+from igtl_gateway.convert.choices import AUTO
 from igtl_gateway.convert.frames import TfRequest
-from igtl_gateway.convert.profiles import AUTO
 from igtl_gateway.convert.table import TO_IGTL
 from igtl_gateway.convert.units import UNITS, LengthUnits
 

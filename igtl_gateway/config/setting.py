@@ -4,8 +4,8 @@ An option of a verb, a key of the configuration file, a parameter of the ROS nod
 API are made of one row: name, type, default, unit, range, description, group in the help and what it needs.  All of
 them check a value with ``Setting.check``, so the same mistake has the same message everywhere.
 
-``config.settings`` has the table of ``bridge``, ``app.replay_options`` that of ``replay``; other verbs and add-ons have
-theirs beside their code.
+``config.settings`` has the table of ``bridge``, ``app.replay_settings`` that of ``replay``; other verbs and add-ons
+have theirs beside their code.
 """
 
 from __future__ import annotations

@@ -34,9 +34,7 @@ from igtl_gateway.config.setting import (
     unknown,
 )
 from igtl_gateway.convert.arms import PROFILE, arms_of_profile
-from igtl_gateway.convert.profiles import AUTO, BY_NAME
-from igtl_gateway.convert.table import TO_ROS
-from igtl_gateway.convert.units import UNITS
+from igtl_gateway.convert.choices import AUTO, KINDS, PROFILES, UNITS
 
 #: Such a need → what to report if it is not there.
 ABSENT = {
@@ -48,7 +46,7 @@ ABSENT = {
 #: Settings of TLS.
 TLS = ("tls", "tls_cert", "tls_key", "tls_ca")
 #: Values of the setting ``profile``.
-PROFILE_NAMES = (AUTO, *BY_NAME)
+PROFILE_NAMES = (AUTO, *PROFILES)
 #: Values of the setting ``stamp``: the sender's stamp, if it sent one, or the time of receipt.
 SOURCE, RECEIVE = "source", "receive"
 STAMP_POLICIES = (SOURCE, RECEIVE)
@@ -122,16 +120,10 @@ def parameters() -> dict[str, Setting]:
     return {row.name: row for row in all_settings() if row.parameter}
 
 
-_UNITS = tuple(UNITS)
-
-#: Kinds of ROS messages that a peer's messages can be converted to.
-_KINDS = tuple(sorted({row.kind for row in TO_ROS}))
-
-
 def _ros_kind(text: str) -> str:
     """Return a kind of ROS messages, or ``+`` and a kind.  Raises ConfigError."""
-    if text.removeprefix("+") not in _KINDS:
-        raise ConfigError(f"found {text!r}, expected one of {', '.join(_KINDS)}, also as +kind")
+    if text.removeprefix("+") not in KINDS:
+        raise ConfigError(f"found {text!r}, expected one of {', '.join(KINDS)}, also as +kind")
     return text
 
 
@@ -410,8 +402,8 @@ _PEERS_AND_MESSAGES = (
 _ROS = (
     Setting("publish_tf", True, "publish poses on /tf", GATEWAY, "--no-tf", needs=(ROS_GRAPH,)),
     Setting("base_frame", "igtl", "frame of messages that do not name a frame", GATEWAY, ""),
-    Setting("ros_unit", "m", "length unit of ROS messages", GATEWAY, "", choices=_UNITS),
-    Setting("igtl_unit", "mm", "length unit of OpenIGTLink messages", GATEWAY, "", choices=_UNITS),
+    Setting("ros_unit", "m", "length unit of ROS messages", GATEWAY, "", choices=UNITS),
+    Setting("igtl_unit", "mm", "length unit of OpenIGTLink messages", GATEWAY, "", choices=UNITS),
     Setting(
         "stamp",
         SOURCE,

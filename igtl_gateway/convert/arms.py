@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields
 
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.globs import matches
+from igtl_gateway.convert.choices import UNITS
 from igtl_gateway.convert.crtk import namespaces, row_of
-from igtl_gateway.convert.units import UNITS
 
 #: Value of the setting ``profile``: all namespaces, or ``crtk:`` and a glob of them.
 PROFILE = "crtk"

@@ -410,10 +410,6 @@ def by_rules(profile: PeerProfile, fitting: int) -> PeerProfile:
     return profile if fitting else _BEFORE.get(profile.name, profile)
 
 
-#: Setting for the detection of the profile from the messages of the peer.
-AUTO = "auto"
-
-
 _SHOWING = tuple((profile, profile.shows) for profile in PROFILES if profile.shows)
 
 

@@ -9,10 +9,10 @@ from typing import Any
 from igtl_gateway.base.globs import matches
 from igtl_gateway.base.stamp import NS_PER_MS
 from igtl_gateway.config.configuration import Config
+from igtl_gateway.convert.choices import AUTO
 from igtl_gateway.convert.igtl_msgs import LinkStatus
 from igtl_gateway.convert.plus_signs import TrackedFrames, may_show_plus
 from igtl_gateway.convert.profiles import (
-    AUTO,
     BY_NAME,
     DEFAULT,
     PLUS_1,

@@ -20,7 +20,6 @@ from igtl_gateway.gateway.stamps import restamped
 from igtl_gateway.replay.stamp_places import StampPlaces
 
 Mode = Literal["keep", "now", "shift"]
-MODES: tuple[Mode, ...] = ("keep", "now", "shift")
 
 _IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
 

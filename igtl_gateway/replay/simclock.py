@@ -18,8 +18,6 @@ CLOCK_TOPIC = "/clock"
 CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 #: Reliable, which matches every subscriber; those of ROS keep only the latest message.
 CLOCK_QOS = Qos(depth=10)
-#: As in ``ros2 bag play``.
-DEFAULT_HZ = 40.0
 
 _CLOCK = struct.Struct("<4siI")
 _CDR_LE = b"\x00\x01\x00\x00"

@@ -11,8 +11,8 @@ from typing import Literal
 
 from igtl_gateway.app.faulty import DISCONNECT, FaultyFeed, disconnector
 from igtl_gateway.app.replay_listeners import accepted_by_all
-from igtl_gateway.app.replay_options import Side
 from igtl_gateway.app.replay_plan import check_streams, plan_replay, planned_entries, unplayed
+from igtl_gateway.app.replay_settings import Side
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError, WireError

@@ -17,11 +17,7 @@ import numpy as np
 
 from igtl_gateway.base.errors import MessageTooLarge
 from igtl_gateway.base.globs import matches
-from igtl_gateway.wire.header import BODY_SIZE_AT, HEADER_SIZE, TYPE, U64
-
-#: Largest body accepted, in bytes.  The largest messages of the field are volumes: 512 x 512 x 500 voxels of
-#: 16 bits are 250 MiB.  A corrupt size field is above it with overwhelming probability.
-DEFAULT_MAX_BODY = 256 * 2**20
+from igtl_gateway.wire.header import BODY_SIZE_AT, DEFAULT_MAX_BODY, HEADER_SIZE, TYPE, U64
 
 # Several hundred transforms at one system call, and copying it once (a few µs) is cheaper than a system call.
 _CHUNK = 64 * 2**10

@@ -43,6 +43,10 @@ TICKS_AT = offset_of(_LAYOUT, "ticks")
 BODY_SIZE_AT = offset_of(_LAYOUT, "body_size")
 CRC_AT = offset_of(_LAYOUT, "crc")
 
+#: Largest body accepted, in bytes.  The largest messages of the field are volumes: 512 x 512 x 500 voxels of
+#: 16 bits are 250 MiB.  A corrupt size field is above it with overwhelming probability.
+DEFAULT_MAX_BODY = 256 * 2**20
+
 #: Everything that names a stream: header version, type and device name.
 NAMES = slice(0, TICKS_AT)
 TYPE = slice(TYPE_AT, DEVICE_NAME_AT)

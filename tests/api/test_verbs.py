@@ -14,7 +14,8 @@ import pytest
 import igtl_gateway
 from igtl_gateway.addons.review import Thresholds
 from igtl_gateway.api.conversation import Wait
-from igtl_gateway.app.replay_options import REPLAY, ReplayOptions
+from igtl_gateway.app.replay_options import ReplayOptions
+from igtl_gateway.app.replay_settings import REPLAY
 from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError, UnsupportedRecording
 from igtl_gateway.cli import main
 from tests.places import ROOT

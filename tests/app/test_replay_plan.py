@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from igtl_gateway.app.replay_listeners import Listeners
-from igtl_gateway.app.replay_options import Side
 from igtl_gateway.app.replay_plan import (
     both_sender,
     check_sends,
@@ -20,6 +19,7 @@ from igtl_gateway.app.replay_plan import (
     planned_entries,
     ros_sender,
 )
+from igtl_gateway.app.replay_settings import Side
 from igtl_gateway.app.rows import with_sends
 from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.base.errors import ConfigError

@@ -9,8 +9,8 @@ import pytest
 
 from igtl_gateway.app.note_rate import Event
 from igtl_gateway.base.clock import ManualClock
-from igtl_gateway.cli.bridge import _Show
 from igtl_gateway.cli.bridge_output import TextOutput
+from igtl_gateway.cli.bridge_run import _Show
 from igtl_gateway.gateway import TICK
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.note import Level, Note

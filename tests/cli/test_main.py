@@ -20,7 +20,7 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.sessionfile.writer import SessionWriter
-from igtl_gateway_lab.cli.simulate import scenario_facts
+from igtl_gateway_lab.cli.simulate_run import scenario_facts
 from tests.integration.hostile_cases import raw
 from tests.integration.hostile_files import bags, foreign, images, streams
 from tests.places import ROOT

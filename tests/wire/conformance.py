@@ -115,7 +115,7 @@ def run(case: Case, folder: Path) -> list[Result]:
     decode.add_arguments(parser)
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
-        decode.run(parser.parse_args([str(source), "-o", str(target)]))
+        decode.runner()(parser.parse_args([str(source), "-o", str(target)]))
     shown = [json.loads(line) for line in printed.getvalue().splitlines()]
     written = target.read_bytes()
     results = []

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from igtl_gateway.base.errors import MessageTooLarge
-from igtl_gateway.wire.framer import DEFAULT_MAX_BODY, Framer
-from igtl_gateway.wire.header import HEADER_SIZE
+from igtl_gateway.wire.framer import Framer
+from igtl_gateway.wire.header import DEFAULT_MAX_BODY, HEADER_SIZE
 from tests.tables import table
 
 CHUNK = 64 * 2**10

@@ -275,7 +275,8 @@ def _verify(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
 
 def _review(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
     from igtl_gateway.addons.review import Thresholds  # here: the other verbs work without this add-on
-    from igtl_gateway.addons.review.recorded import ReviewSelection, review_session
+    from igtl_gateway.addons.review.choices import ReviewSelection
+    from igtl_gateway.addons.review.recorded import review_session
 
     review = review_session(file, ReviewSelection(settings["plan"], settings["cloud"], settings["tool"]), Thresholds())
     moved = {each.number: max(each.moved_mm) if each.moved_mm else None for each in review.changes if each.after}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from igtl_gateway.addon.writing import SessionWriter
 from igtl_gateway.addons.exchange.formats import open_source
-from igtl_gateway.addons.exchange.import_verb import import_facts
+from igtl_gateway.addons.exchange.import_verb_run import import_facts
 from igtl_gateway.addons.exchange.source import numbered
 
 

@@ -5,17 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from igtl_gateway.addon.reading import RecordedStamps
 from igtl_gateway.addon.streams import GAP_NS
-from igtl_gateway.addons.exchange.account import ExportAccount
-from igtl_gateway.addons.exchange.csv_out import export_csv
-from igtl_gateway.addons.exchange.rosbag2_out import export_rosbag2
-from igtl_gateway.addons.exchange.scene_out import export_mrb, export_mrml, export_picture_sequence
-from igtl_gateway.addons.exchange.selection import Recording, count_skipped
-from igtl_gateway.addons.exchange.sequence_out import export_sequence
-from igtl_gateway.addons.exchange.surface_out import export_ply, export_vtk
-from igtl_gateway.addons.exchange.volume_out import export_nrrd
+
+if TYPE_CHECKING:
+    from igtl_gateway.addons.exchange.account import ExportAccount
+    from igtl_gateway.addons.exchange.selection import Recording
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +50,9 @@ def export_to(
 
     Raises GatewayError and OSError.
     """
+    from igtl_gateway.addon.reading import RecordedStamps
+    from igtl_gateway.addons.exchange.selection import count_skipped
+
     target = TARGETS[name]
     account = target.export(
         recording,
@@ -67,51 +66,108 @@ def export_to(
     return account
 
 
-def _export_parquet(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
-    from igtl_gateway.addons.exchange.arrow_out import export_parquet  # pyarrow is an extra
-
-    return export_parquet(recording, out, globs)
+# -- each is imported when it is used: the help needs the texts, and some need extras ------------------------------
 
 
-def _export_arrow(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
+def _export_csv(recording: Recording, out: Path, globs: Sequence[str], **more: Any) -> ExportAccount:
+    from igtl_gateway.addons.exchange.csv_out import export_csv
+
+    return export_csv(recording, out, globs, **more)
+
+
+def _export_rosbag2(recording: Recording, out: Path, globs: Sequence[str], **more: Any) -> ExportAccount:
+    from igtl_gateway.addons.exchange.rosbag2_out import export_rosbag2
+
+    return export_rosbag2(recording, out, globs, **more)
+
+
+def _export_mrb(recording: Recording, out: Path, globs: Sequence[str], **more: Any) -> ExportAccount:
+    from igtl_gateway.addons.exchange.scene_out import export_mrb
+
+    return export_mrb(recording, out, globs, **more)
+
+
+def _export_mrml(recording: Recording, out: Path, globs: Sequence[str], **more: Any) -> ExportAccount:
+    from igtl_gateway.addons.exchange.scene_out import export_mrml
+
+    return export_mrml(recording, out, globs, **more)
+
+
+def _export_picture_sequence(recording: Recording, out: Path, globs: Sequence[str], **more: Any) -> ExportAccount:
+    from igtl_gateway.addons.exchange.scene_out import export_picture_sequence
+
+    return export_picture_sequence(recording, out, globs, **more)
+
+
+def _export_sequence(recording: Recording, out: Path, globs: Sequence[str], **more: Any) -> ExportAccount:
+    from igtl_gateway.addons.exchange.sequence_out import export_sequence
+
+    return export_sequence(recording, out, globs, **more)
+
+
+def _export_ply(recording: Recording, out: Path, globs: Sequence[str], **more: Any) -> ExportAccount:
+    from igtl_gateway.addons.exchange.surface_out import export_ply
+
+    return export_ply(recording, out, globs, **more)
+
+
+def _export_vtk(recording: Recording, out: Path, globs: Sequence[str], **more: Any) -> ExportAccount:
+    from igtl_gateway.addons.exchange.surface_out import export_vtk
+
+    return export_vtk(recording, out, globs, **more)
+
+
+def _export_nrrd(recording: Recording, out: Path, globs: Sequence[str], **more: Any) -> ExportAccount:
+    from igtl_gateway.addons.exchange.volume_out import export_nrrd
+
+    return export_nrrd(recording, out, globs, **more)
+
+
+def _export_parquet(recording: Recording, out: Path, globs: Sequence[str], **more: Any) -> ExportAccount:
+    from igtl_gateway.addons.exchange.arrow_out import export_parquet
+
+    return export_parquet(recording, out, globs, **more)
+
+
+def _export_arrow(recording: Recording, out: Path, globs: Sequence[str], **more: Any) -> ExportAccount:
     from igtl_gateway.addons.exchange.arrow_out import export_arrow
 
-    return export_arrow(recording, out, globs)
+    return export_arrow(recording, out, globs, **more)
 
 
 TARGETS = {
-    "rosbag2": ExportFormat("ROS topics, as a directory for `ros2 bag`", "ros2 bag play {out}", export_rosbag2),
+    "rosbag2": ExportFormat("ROS topics, as a directory for `ros2 bag`", "ros2 bag play {out}", _export_rosbag2),
     "igs.mha": ExportFormat(
         "an IMAGE and its TRANSFORMs, as one tracked sequence",
         "open {out} in PLUS, or in 3D Slicer with its extension SlicerIGSIO; --to mrb opens without one",
-        export_sequence,
+        _export_sequence,
         (".mha",),
         joins=True,
     ),
     "mrb": ExportFormat(
         "all streams, as one scene that plays in 3D Slicer",
         "open {out} in 3D Slicer and press play (module Sequences)",
-        export_mrb,
+        _export_mrb,
         (".mrb",),
         thins=True,
     ),
     "mrml": ExportFormat(
         "the same scene as a directory",
         "open the .mrml of {out} in 3D Slicer",
-        export_mrml,
+        _export_mrml,
         thins=True,
     ),
     "seq.nrrd": ExportFormat(
         "the pictures of one stream that do not move, as one file",
         "open {out} in 3D Slicer (as Volume Sequence)",
-        export_picture_sequence,
+        _export_picture_sequence,
         (".nrrd",),
         thins=True,
     ),
     "csv": ExportFormat(
         "poses, strings, numbers: a directory with one table per stream",
         "open the tables of {out} in a spreadsheet",
-        export_csv,
+        _export_csv,
     ),
     "parquet": ExportFormat(
         "all messages, units in the schema: a directory with one table per stream",
@@ -124,16 +180,16 @@ TARGETS = {
     "ply": ExportFormat(
         "surfaces and clouds: a directory with one file per message",
         "open the files of {out} in MeshLab or CloudCompare",
-        export_ply,
+        _export_ply,
     ),
     "vtk": ExportFormat(
         "surfaces and clouds with all attributes: a directory with one file per message",
         "open the files of {out} in ParaView or 3D Slicer",
-        export_vtk,
+        _export_vtk,
     ),
     "nrrd": ExportFormat(
         "images and volumes: a directory with one file per message",
         "open the files of {out} in 3D Slicer or MITK",
-        export_nrrd,
+        _export_nrrd,
     ),
 }

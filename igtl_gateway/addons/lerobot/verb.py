@@ -3,34 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 from igtl_gateway.addon import ConfigError, GatewayError
 from igtl_gateway.addon.processes import extras
 from igtl_gateway.addon.reading import open_recording
-from igtl_gateway.addon.terminal import aligned, count_text, output_file, print_json, print_line
+from igtl_gateway.addon.terminal import aligned, count_text, print_json, print_line
 from igtl_gateway.addon.writing import check_target, write_error, write_text, written
-
-LEROBOT = "lerobot"
-LEROBOT_TEXT = "a training set by a recipe: streams at one rate, video, Parquet"
+from igtl_gateway.addons.lerobot.options import LEROBOT
 
 _OPTIONS = {"recipe": "--recipe", "write_recipe": "--write-recipe", "check": "--check"}
-
-
-def add_lerobot(parser: argparse.ArgumentParser) -> None:
-    """Add the options that only this format has."""
-    group = parser.add_argument_group("options of --to lerobot")
-    group.add_argument("--recipe", metavar="FILE", type=Path, help="TOML file: rate, features, episodes")
-    group.add_argument(
-        "--write-recipe",
-        metavar="FILE",
-        type=output_file(".toml"),
-        help="write a starting recipe, made of the recording's streams",
-    )
-    group.add_argument(
-        "--check", metavar="DIR", type=Path, help="check a data set against the format and against the recording"
-    )
 
 
 def refuse_lerobot_options(options: argparse.Namespace) -> None:

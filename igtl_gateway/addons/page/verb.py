@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
-from igtl_gateway.addon import ConfigError
-from igtl_gateway.addon.settings import Setting, add_settings, address, values_with_effect
-from igtl_gateway.addon.terminal import print_line, stop_event
-from igtl_gateway.addons.page.process import Page, serve
+from igtl_gateway.addon.settings import add_settings
+from igtl_gateway.addons.page.verb_options import OPTIONS
 
 EXAMPLES = """\
   # list, verify, review, export and replay the recordings here
@@ -16,35 +15,13 @@ EXAMPLES = """\
   # at a fixed port
   igtl-gateway page recordings --address 8944"""
 
-OPTIONS = (
-    Setting("address", "", "address of the page", metavar="[HOST:]PORT", reads=address, shown="127.0.0.1, a free port"),
-    Setting(
-        "allow", (), "networks whose browsers may connect, or any", metavar="NETWORK", words=True, needs=("address",)
-    ),
-    Setting("tls_cert", "", "serve with TLS: our certificate (PEM)", metavar="FILE"),
-    Setting("tls_key", "", "its key", metavar="FILE", shown="in the file of the certificate", needs=("tls_cert",)),
-)
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", metavar="FOLDER", type=Path, help="directory with recordings")
     add_settings(parser, OPTIONS)
 
 
-def run(options: argparse.Namespace) -> int:
-    values = values_with_effect(options, OPTIONS)
-    folder: Path = options.folder
-    if not folder.is_dir():
-        raise ConfigError(f"{folder}: found no directory, expected one with recordings")
-    host, port = address(values["address"]) if values["address"] else ("127.0.0.1", 0)
-    tls = (values["tls_cert"], values["tls_key"]) if values["tls_cert"] else None
-    page = Page(folder.absolute(), None)
-    with stop_event() as stop:
-        server = serve(page, {"host": host, "port": port, "allow": list(values["allow"]), "tls": tls})
-        print_line(
-            f"page         {server.link}", f"  read-only  {server.spectators}", "Press Ctrl-C to stop.", flush=True
-        )
-        stop.wait()
-    server.close()
-    page.close()
-    return 0
+def runner() -> Callable[[argparse.Namespace], int]:
+    from igtl_gateway.addons.page.verb_run import run  # here: the help does not wait for it
+
+    return run

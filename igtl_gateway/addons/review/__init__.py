@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from igtl_gateway.addons.review.assess import review_of
+    from igtl_gateway.addons.review.choices import Thresholds
     from igtl_gateway.addons.review.material import Material
     from igtl_gateway.addons.review.model import (
         Change,
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
         PlanReview,
         Review,
         StitchReview,
-        Thresholds,
     )
 
 __all__ = [
@@ -52,8 +52,8 @@ def __getattr__(name: str) -> Any:
     """Import the names of the package when one of them is first used."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from igtl_gateway.addons.review import assess, material, model
+    from igtl_gateway.addons.review import assess, choices, material, model
 
-    for module in (assess, material, model):
+    for module in (assess, choices, material, model):
         globals().update({each: getattr(module, each) for each in __all__ if hasattr(module, each)})
     return globals()[name]

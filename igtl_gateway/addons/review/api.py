@@ -6,8 +6,8 @@ from dataclasses import fields
 
 from igtl_gateway.addon.reading import AnyRecording, session_of
 from igtl_gateway.addons.review import Review, Thresholds
-from igtl_gateway.addons.review.material import CLOUDS
-from igtl_gateway.addons.review.recorded import ReviewSelection, checked_thresholds, review_session
+from igtl_gateway.addons.review.choices import CLOUDS, ReviewSelection
+from igtl_gateway.addons.review.recorded import checked_thresholds, review_session
 
 
 def review(

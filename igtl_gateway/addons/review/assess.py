@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.addons.review import executed, judge, points
+from igtl_gateway.addons.review.choices import Thresholds
 from igtl_gateway.addons.review.error import SURE_95
 from igtl_gateway.addons.review.frames import FramePath
 from igtl_gateway.addons.review.material import Material
@@ -21,7 +22,6 @@ from igtl_gateway.addons.review.model import (
     PlanReview,
     Review,
     StitchReview,
-    Thresholds,
 )
 from igtl_gateway.addons.review.points import Assessed
 from igtl_gateway.addons.review.scene import DepthScene

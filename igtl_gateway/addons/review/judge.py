@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import hypot
 
-from igtl_gateway.addons.review.model import EndReview, Level, Thresholds
+from igtl_gateway.addons.review.choices import Thresholds
+from igtl_gateway.addons.review.model import EndReview, Level
 
 #: A level and the reason for it.
 Reason = tuple[Level, str]

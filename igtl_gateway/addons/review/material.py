@@ -23,14 +23,13 @@ from igtl_gateway.addon.reading import Entry, Kind
 from igtl_gateway.addon.ros import PointCloud2
 from igtl_gateway.addon.streams import StreamTimes
 from igtl_gateway.addons.review.addon import NO_CLOUD, NO_PLAN
+from igtl_gateway.addons.review.choices import CLOUDS
 from igtl_gateway.addons.review.frames import FramePoses
 from igtl_gateway.addons.review.messages import PLANS, POSES, DrawnPlan, cloud_of, is_large_cloud, plan_of, poses_of
 from igtl_gateway.addons.review.scene import DepthCloud, DepthScene
 
 Array = npt.NDArray[Any]
 
-#: Default for the maximum number of clouds that a review uses.
-CLOUDS = 24
 #: Last time that a stamp of OpenIGTLink can state, in 2106.  Later ones count as this one, so that the difference of
 #: any two times of a session, also of those in ROS messages (1901 to 2038), is an integer of 64 bits.
 _LAST_NS = (1 << 32) * NS_PER_S - 1

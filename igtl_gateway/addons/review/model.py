@@ -1,6 +1,4 @@
-"""What a user can choose of a review, and its results: values without arithmetic.
-
-A choice is a field that has the help of its option.
+"""The results of a review: values without arithmetic; ``choices`` has what a user can choose.
 
 Positions are in metres, in the frame of the cloud.  Lengths with ``_mm`` in their name are for the reader, in
 millimetres.  Stamps are UTC ns.  ``None`` stands for a figure that could not be determined.
@@ -8,34 +6,16 @@ millimetres.  Stamps are UTC ns.  ``None`` stands for a figure that could not be
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy.typing as npt
 
-from igtl_gateway.addon.settings import Setting
+from igtl_gateway.addons.review.choices import Thresholds
 
-T = TypeVar("T")
 Array = npt.NDArray[Any]
 Point = tuple[float, float, float]
-
-
-def option(default: T, metavar: str, about: str, **more: Any) -> T:
-    """A field with its default, the placeholder and the help of its option, and other columns of its row."""
-    made: T = field(default=default, metadata={"metavar": metavar, "about": about, **more})
-    return made
-
-
-def limit(default: float, metavar: str, about: str) -> float:
-    """A threshold: a number above 0; the help has what it is, and the reason of the default."""
-    return option(default, metavar, about, least=0, open_ends=True)
-
-
-def rows_of(kind: Any, group: str = "") -> tuple[Setting, ...]:
-    """Return the options of a dataclass of such fields."""
-    rows: list[Any] = list(fields(kind))
-    return tuple(Setting(each.name, each.default, group=group, **each.metadata) for each in rows)
 
 
 class Level(Enum):
@@ -49,36 +29,6 @@ class Level(Enum):
     def rank(self) -> int:
         """Severity, from 0 (ok) to 2 (wrong)."""
         return list(Level).index(self)
-
-
-@dataclass(frozen=True, slots=True)
-class Thresholds:
-    """The limits that make a figure a reason; ``docs/how-to/review.md`` explains the defaults.
-
-    The difference that ``reading_mm`` limits is also that of the surface from one of a window twice as wide.
-    """
-
-    wrong_mm: float = limit(
-        1.0, "MM", "a point this far from the tissue is wrong; two fifths of the needle's bite of 2.5 mm"
-    )
-    look_mm: float = limit(
-        0.5, "MM", "a point this far from the tissue needs a look; the cost of lifting a point from one cloud"
-    )
-    sure: float = limit(3.0, "FACTOR", "standard errors that a distance must exceed to be wrong; once in 400 by chance")
-    noise_mm: float = limit(0.4, "MM", "depth noise above which a point needs a look; 0.4 times --wrong-mm")
-    reading_mm: float = limit(
-        0.7, "MM", "depth difference to the tissue around it above which a point needs a look; wet spots, glints, folds"
-    )
-    density_mm2: float = limit(
-        2.0, "PER_MM2", "points/mm² below which a point needs a look; a hundred in the window for six unknowns"
-    )
-    missing: float = limit(0.5, "SHARE", "share of pixels without depth above which a point needs a look")
-    spacing: float = limit(0.4, "SHARE", "largest deviation from the usual spacing of the plan, as a share")
-    bite: float = limit(0.4, "SHARE", "largest deviation from the usual bite length of the plan, as a share")
-    reach_mm: float = limit(5.0, "MM", "the tool has reached a point if it came this near")
-    window_mm: float = limit(4.0, "MM", "radius of the tissue that the quadric is fitted to")
-    place_mm: float = limit(2.5, "MM", "radius in which noise, density and missing pixels are measured")
-    core_mm: float = limit(1.0, "MM", "radius in which the depth at the point is measured")
 
 
 @dataclass(frozen=True, slots=True)

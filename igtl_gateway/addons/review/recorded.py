@@ -4,25 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from igtl_gateway.addon import ConfigError, GatewayError
 from igtl_gateway.addon.messages import scale
 from igtl_gateway.addon.reading import Mark, RecordedStamps, SessionFile, config_to_run, marks_of, with_state
 from igtl_gateway.addons.review import Material, Review, StitchReview, Thresholds, review_of
-from igtl_gateway.addons.review.material import CLOUDS
-from igtl_gateway.addons.review.model import option
-
-
-@dataclass(frozen=True, slots=True)
-class ReviewSelection:
-    """What a review is about; "" selects the default of the help."""
-
-    plan: str = option("", "TOPIC", "topic of the plan", shown="pairs of points on the tissue")
-    cloud: str = option("", "TOPIC", "topic of the point cloud", shown="the largest")
-    tool: str = option("", "TOPIC", "topic or frame of the tool", shown="the one that comes nearest")
-    clouds: int = option(CLOUDS, "N", "maximum number of clouds, evenly spread over time", least=1)
+from igtl_gateway.addons.review.choices import ReviewSelection
 
 
 def review_recording(path: Path, selection: ReviewSelection, thresholds: Thresholds) -> tuple[Review, int]:

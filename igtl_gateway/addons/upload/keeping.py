@@ -3,34 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from igtl_gateway.addon import NS_PER_S, SystemClock
 from igtl_gateway.addon.reading import Note
-from igtl_gateway.addon.settings import Setting
 from igtl_gateway.addon.terminal import count_text, print_json, print_line, size_text, stop_event
 from igtl_gateway.addons.upload.place import upload_place
-from igtl_gateway.addons.upload.settings import SETTINGS
 from igtl_gateway.addons.upload.uploading import CONFIRMED, Uploader
 
 _LOOK_S = 0.2
-
-_PLACE, _RATE = SETTINGS
-OPTIONS = (
-    replace(_PLACE, about="where to: a bucket, and what the keys in it begin with", needs=(), old=("--to",)),
-    replace(_RATE, about="maximum rate; 0: no limit", old=("--rate",)),
-    Setting(
-        "patience",
-        60.0,
-        "give up when no file was confirmed for this time and the store has a problem",
-        metavar="SECONDS",
-        unit="s",
-        least=0,
-        needs=("upload",),
-    ),
-)
 
 
 def upload(folder: Path, values: Mapping[str, Any]) -> int:

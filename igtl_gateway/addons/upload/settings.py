@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from igtl_gateway.addon.settings import RECORD, Setting, grouped
 from igtl_gateway.addons.upload.place import upload_place
 
@@ -27,6 +29,22 @@ SETTINGS = grouped(
         least=0,
         most=100_000,
         shown="0",
+        needs=("upload",),
+    ),
+)
+
+#: Options of ``keep``.
+_PLACE, _RATE = SETTINGS
+KEEPING = (
+    replace(_PLACE, about="where to: a bucket, and what the keys in it begin with", needs=(), old=("--to",)),
+    replace(_RATE, about="maximum rate; 0: no limit", old=("--rate",)),
+    Setting(
+        "patience",
+        60.0,
+        "give up when no file was confirmed for this time and the store has a problem",
+        metavar="SECONDS",
+        unit="s",
+        least=0,
         needs=("upload",),
     ),
 )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.wire.framer import DEFAULT_MAX_BODY
+from igtl_gateway.wire.header import DEFAULT_MAX_BODY
 from igtl_gateway.wire.registry import BODIES
 from igtl_gateway.wire.traits import LIST, SHORT, traits_of
 

@@ -21,9 +21,6 @@ Rule = Literal["nearest", "interpolate", "hold"]
 
 #: Largest distance of a sample that stands for a moment, unless the user states another one: 10 mm at 100 mm/s.
 NEAR_NS = 100_000_000
-#: Samples that are further apart have nothing between them, unless the user states another gap: a tracker of 10 Hz has
-#: less, and the movement of a hand bends by at most a few millimetres.
-GAP_NS = 150_000_000
 #: So near, a sample stands for a moment without another one on the other side: stamps that were rounded differ by less.
 END_NS = 1_000_000
 

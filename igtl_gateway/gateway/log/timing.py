@@ -26,6 +26,9 @@ _BLOCK_NS = 10 * NS_PER_S
 _DRIFT_MIN_NS = 60 * NS_PER_S
 #: A time without a message from which on it is kept as a pause; the guard looks at one message in a tenth of a second.
 PAUSE_NS = 500 * NS_PER_MS
+#: Samples that are further apart have nothing between them, unless the user states another gap: a tracker of 10 Hz has
+#: less, and the movement of a hand bends by at most a few millimetres.
+GAP_NS = 150_000_000
 #: A stamp further ahead than this is in the future: clocks kept by NTP on one network are closer.
 FUTURE_NS = 100 * NS_PER_MS
 

@@ -11,8 +11,8 @@ from igtl_gateway.convert.frames import FrameTree, in_frame
 from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.log.entry import Entry
-from igtl_gateway.gateway.log.joining import GAP_NS
 from igtl_gateway.gateway.log.note import Level
+from igtl_gateway.gateway.log.timing import GAP_NS
 from igtl_gateway.gateway.naming import ShownNames
 from igtl_gateway.gateway.outcome import Finding, Item
 from igtl_gateway.gateway.peers import TRACKING, Peer

@@ -19,6 +19,8 @@ class Direction(Enum):
     IGTL_TO_ROS = "igtl-to-ros"
 
 
+#: Stands for all of them, on the command line.
+BOTH = "both"
 #: Rate of a stream that sends as fast as it can.
 FLOOD = 0.0
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from igtl_gateway.addons.review.frames import FramePoses, Placed
 from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.structs import Pose
-from igtl_gateway.gateway.log.joining import GAP_NS
 from igtl_gateway.gateway.log.one_clock import StreamTimes
+from igtl_gateway.gateway.log.timing import GAP_NS
 
 _MS = 1_000_000
 _QUARTER = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))  # about z

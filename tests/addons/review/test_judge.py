@@ -6,7 +6,8 @@ from dataclasses import replace
 from typing import Any
 
 from igtl_gateway.addons.review import judge
-from igtl_gateway.addons.review.model import EndReview, Level, Thresholds
+from igtl_gateway.addons.review.choices import Thresholds
+from igtl_gateway.addons.review.model import EndReview, Level
 from tests.tables import table
 
 _GOOD = EndReview(

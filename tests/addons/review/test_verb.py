@@ -26,7 +26,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str, list[dict[
     out = tmp_path_factory.mktemp("review") / "stitches.csv"
     with pytest.MonkeyPatch.context() as patch:
         lines: list[str] = []
-        patch.setattr("igtl_gateway.addons.review.verb.print_json", lambda value: lines.append(json.dumps(value)))
+        patch.setattr("igtl_gateway.addons.review.verb_run.print_json", lambda value: lines.append(json.dumps(value)))
         code = main(["review", str(STAR), "--json", "-o", str(out)])
     with out.open(newline="", encoding="utf-8") as file:
         return code, lines[0], list(csv.DictReader(file))

@@ -227,7 +227,7 @@ def test_the_library_of_charts_is_missing_before_the_search(
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.delitem(sys.modules, "matplotlib.figure", raising=False)
-    monkeypatch.setattr("igtl_gateway.addons.sync.verb._signals", lambda *_: pytest.fail("a search"))
+    monkeypatch.setattr("igtl_gateway.addons.sync.verb_run._signals", lambda *_: pytest.fail("a search"))
     assert main(["sync", str(recording), "--plot", str(tmp_path / "lag.svg")]) == 1
     assert 'pip install "igtl-gateway[plot]"' in capsys.readouterr().err
 

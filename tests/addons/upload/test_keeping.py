@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 from igtl_gateway.addons.upload import keeping, live, upload_process, uploading
-from igtl_gateway.addons.upload.keeping import OPTIONS
 from igtl_gateway.addons.upload.live import BridgeUploads
 from igtl_gateway.addons.upload.place import UploadPlace
+from igtl_gateway.addons.upload.settings import KEEPING as OPTIONS
 from igtl_gateway.addons.upload.settings import SETTINGS
 from igtl_gateway.gateway.log.note import Level, Note
 from tests.addons.upload.store import Store, running_store

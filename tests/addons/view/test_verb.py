@@ -69,7 +69,7 @@ def test_two_recordings_of_one_name_stay_apart(
 
         shown.extend((RrdReader(str(path)).recordings()[0].recording_id, counts(path)) for path in sessions)
 
-    monkeypatch.setattr("igtl_gateway.addons.view.verb._show", show)
+    monkeypatch.setattr("igtl_gateway.addons.view.verb_run._show", show)
     file = str(FIXTURES / "paper-types.mcap")
     assert main(["view", file, file, "--web", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -308,7 +308,7 @@ def test_a_picture_is_there_although_nobody_reads_what_was_drawn(
     out = tmp_path / "x.png"
     monkeypatch.setattr(shots, "check_driver", lambda _environment: None)
     monkeypatch.setattr(shots, "take_shots", lambda _session, _times: [shots.Shot(0, b"png", ())])
-    monkeypatch.setattr("igtl_gateway.addons.view.verb.print_line", left)
+    monkeypatch.setattr("igtl_gateway.addons.view.verb_run.print_line", left)
     assert main(["view", str(irregular(tmp_path / "in.mcap", 0.0)), "-o", str(out)]) == 1
     assert out.read_bytes() == b"png"
 

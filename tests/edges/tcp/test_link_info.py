@@ -7,7 +7,7 @@ import pytest
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.globs import matches
 from igtl_gateway.edges.tcp import PeerLimits
-from igtl_gateway.wire.framer import DEFAULT_MAX_BODY
+from igtl_gateway.wire.header import DEFAULT_MAX_BODY
 from tests.tables import table
 
 

@@ -115,7 +115,7 @@ def test_what_is_compared_with_what(plans: list[BenchPlan], monkeypatch: pytest.
 def test_without_a_compiler_python_measures(
     plans: list[BenchPlan], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("igtl_gateway_lab.cli.bench.lacks_probe", lambda: "no C compiler (cc)")
+    monkeypatch.setattr("igtl_gateway_lab.cli.bench_run.lacks_probe", lambda: "no C compiler (cc)")
     assert main(["bench", "--case", "transform", "--json"]) == 0
     assert "the measuring programs are those in Python: no C compiler (cc)" in capsys.readouterr().err
     assert [(plan.programs, plan.hop) for plan in plans] == [("python", False)]

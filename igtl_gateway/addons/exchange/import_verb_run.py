@@ -1,0 +1,115 @@
+"""``igtl-gateway import``: another program's recording as a session."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.addon import ConfigError, DamagedRecording, WireError, __version__
+from igtl_gateway.addon.reading import layout
+from igtl_gateway.addon.settings import Config
+from igtl_gateway.addon.terminal import (
+    cell,
+    count_text,
+    print_json,
+    print_line,
+    size_text,
+    width,
+)
+from igtl_gateway.addon.untrusted import is_same
+from igtl_gateway.addon.writing import SessionWriter, written
+from igtl_gateway.addons.exchange.formats import open_source
+from igtl_gateway.addons.exchange.source import ImportedStream, Source, numbered
+
+
+def run(options: argparse.Namespace) -> int:
+    if is_same(options.output, options.source):
+        raise ConfigError(f"--output: found {options.output}, which is the source, expected another file")
+    failure = ""
+    with (
+        closing(open_source(options.source, options.epoch)) as source,
+        written(options.output, overwrite=options.overwrite) as place,
+    ):
+        writer = SessionWriter(
+            place, import_facts(options.source, source), qos_of=source.qos_of, definition_of=source.definition_of
+        )
+        try:
+            for each in source.beside():
+                writer.add_beside(each)
+            for entry in numbered(source.items()):
+                writer.write(entry)
+        except (DamagedRecording, WireError, layout.LayoutError) as error:
+            failure = str(error)
+        writer.close({"import": {"rows": [_row_facts(row) for row in source.rows], "failure": failure}})
+        size = place.stat().st_size
+        if failure and not options.partial:
+            place.unlink()
+    good = not failure and all(row.good for row in source.rows)
+    notes = source.notes + [
+        f"{name}: found no definition; other tools cannot decode its messages" for name in writer.undefined
+    ]
+    facts: dict[str, Any] = {
+        "source": str(options.source),
+        "format": source.facts["imported_format"],
+        "file": str(options.output),
+        "good": good,
+        "entries": writer.entries,
+        "bytes": 0 if failure and not options.partial else size,
+        "rows": [_row_facts(row) for row in source.rows],
+        "notes": notes,
+        "failure": failure,
+    }
+    if options.json:
+        print_json(facts)
+    else:
+        _print(source, facts)
+    return 0 if good else 1
+
+
+def import_facts(path: Path, source: Source) -> dict[str, str]:
+    """Return the metadata of the session: without machine and time, so that equal sources give equal files."""
+    return {
+        "config": json.dumps(Config().to_dict(), sort_keys=True),
+        "igtl_gateway_version": __version__,
+        "imported_from": path.name,
+        **source.facts,
+    }
+
+
+def _row_facts(row: ImportedStream) -> dict[str, Any]:
+    return {
+        "stream": row.stream,
+        "type": row.type,
+        "unit": row.unit,
+        "declared": row.declared,
+        "imported": row.taken,
+        "left_out": row.left_out,
+        "why": row.why,
+        "good": row.good,
+    }
+
+
+def _print(source: Source, facts: dict[str, Any]) -> None:
+    print_line(f"{source.title}: {len(source.rows)} rows; found, imported, left out")
+    streams = width(row.stream for row in source.rows)
+    kinds = width(row.type or row.unit for row in source.rows)
+    for row in source.rows:
+        mark = " " if row.good else "!"
+        numbers = f"{row.declared:>12,} {row.taken:>12,} {row.left_out:>12,}"
+        print_line(
+            f"{mark} {cell(row.stream, streams)}  {cell(row.type or row.unit, kinds)} {numbers}  {row.why}".rstrip()
+        )
+    for note in facts["notes"]:
+        print_line(f"note: {note}")
+    if facts["failure"]:
+        print_line(f"FAILED: {facts['failure']}")
+        if not facts["bytes"]:
+            entries = count_text(facts["entries"], "entry", "entries")
+            print_line(f"{facts['file']}: not written; --partial writes the {entries} before the damage")
+            return
+    elif not facts["good"]:
+        print_line("DIFFERENT: the rows marked ! lack messages that the source declares")
+    print_line(f"{facts['file']}: {count_text(facts['entries'], 'entry', 'entries')}, {size_text(facts['bytes'])}")

@@ -1,0 +1,26 @@
+"""The options of ``igtl-gateway export --to lerobot``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from igtl_gateway.addon.terminal import output_file
+
+LEROBOT = "lerobot"
+LEROBOT_TEXT = "a training set by a recipe: streams at one rate, video, Parquet"
+
+
+def add_lerobot(parser: argparse.ArgumentParser) -> None:
+    """Add the options that only this format has."""
+    group = parser.add_argument_group("options of --to lerobot")
+    group.add_argument("--recipe", metavar="FILE", type=Path, help="TOML file: rate, features, episodes")
+    group.add_argument(
+        "--write-recipe",
+        metavar="FILE",
+        type=output_file(".toml"),
+        help="write a starting recipe, made of the recording's streams",
+    )
+    group.add_argument(
+        "--check", metavar="DIR", type=Path, help="check a data set against the format and against the recording"
+    )

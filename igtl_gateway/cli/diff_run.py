@@ -1,0 +1,75 @@
+"""``igtl-gateway diff``: two recordings side by side."""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+from igtl_gateway.app.comparison import RecordingDiff, compare_recordings
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.cli.common import count_text
+from igtl_gateway.cli.terminal import aligned, print_json, print_line
+from igtl_gateway.replay.compare import Tolerance
+from igtl_gateway.replay.diff import StreamDiff
+
+
+def run(options: argparse.Namespace) -> int:
+    tolerance = Tolerance(options.tolerance_mm, options.tolerance_deg)
+    for name, value in (("mm", tolerance.mm), ("deg", tolerance.deg)):
+        if not 0 <= value < math.inf:
+            raise ConfigError(f"--tolerance-{name}: found {value}, expected 0 or more")
+    report = compare_recordings(options.one, options.other, options.streams, tolerance)
+    if options.json:
+        print_json(report.to_dict())
+    else:
+        _print(options, report)
+    return 0 if report.equal else 1
+
+
+def _print(options: argparse.Namespace, report: RecordingDiff) -> None:
+    messages = sum(stream.messages for stream in report.streams)
+    others = sum(stream.other_messages for stream in report.streams)
+    print_line(f"A {options.one}: {count_text(messages, 'message')}")
+    print_line(f"B {options.other}: {count_text(others, 'message')}")
+    print_line(
+        f"  gateway times: B is {_signed(report.offset_ns)} later" if report.offset_ns else "  gateway times: equal"
+    )
+    if report.stamp_offset_ns:
+        print_line(f"  stamps in messages: B is {_signed(report.stamp_offset_ns)} later")
+    title = ("stream", "A", "B", "missing", "extra", "different", "mm", "deg", "offset", "jitter")
+    rows = [title, *(_row(stream, report) for stream in report.streams)]
+    print_line(*aligned(rows, left=1))
+    for stream in report.streams:
+        for line in _places(stream):
+            print_line(f"{stream.kind} {stream.stream}".rstrip() + f": {line}")
+    wrong = sum(not stream.equal for stream in report.streams)
+    print_line("equal" if report.equal else f"DIFFERENT: {count_text(wrong, 'stream')} of {len(report.streams)}")
+
+
+def _row(stream: StreamDiff, report: RecordingDiff) -> tuple[str, ...]:
+    paired = stream.messages - stream.missing
+    return (
+        f"{stream.kind} {stream.stream}".rstrip(),
+        *(f"{number:,}" for number in (stream.messages, stream.other_messages)),
+        *(f"{number:,}" if number else "" for number in (stream.missing, stream.extra)),
+        f"{stream.different + stream.restamped:,}" if stream.different + stream.restamped else "",
+        *(f"{number:.4g}" if number else "" for number in (stream.mm, stream.deg)),
+        _signed(stream.offset_ns - report.offset_ns) if paired else "",
+        f"{stream.jitter_ns / 1e6:.3f} ms" if paired > 1 else "",
+    )
+
+
+def _places(stream: StreamDiff) -> list[str]:
+    """Where the first differences are."""
+    lines = [str(stream.first)] if stream.first else []
+    lines += [f"{stream.restamped:,} stamps differ from the common offset"] if stream.restamped else []
+    if stream.within:
+        at = f"at message {stream.mm_at or stream.deg_at}"
+        lines.append(f"{stream.within:,} differ within the tolerance, most {at}")
+    lines += [f"first message missing in B: entry {stream.first_missing} of A"] if stream.missing else []
+    lines += [f"first message only in B: entry {stream.first_extra}"] if stream.extra else []
+    return lines
+
+
+def _signed(offset_ns: float) -> str:
+    return f"{offset_ns / 1e9:+.3f} s" if abs(offset_ns) >= 1e9 else f"{offset_ns / 1e6:+.3f} ms"

@@ -1,0 +1,63 @@
+"""``igtl-gateway doctor``: diagnose the connection to a peer, a recording, or the machine."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from igtl_gateway.app import bridge_options
+from igtl_gateway.app.examine import ExamineOptions, examine
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.untrusted import cpu_time
+from igtl_gateway.cli import lint_run
+from igtl_gateway.cli.common import load_config, stop_event
+from igtl_gateway.cli.doctor_options import OPTIONS, PEER
+from igtl_gateway.cli.settings import values_with_effect
+from igtl_gateway.cli.terminal import print_json, print_line
+from igtl_gateway.config import notations
+from igtl_gateway.doctor.host_report import HostReport, examine_host
+from igtl_gateway.doctor.report import DoctorReport
+
+_ABSENT = {PEER: "found a recording or --host, expected a peer"}
+
+
+def run(options: argparse.Namespace) -> int:
+    is_file = isinstance(options.peer, Path)
+    if options.host and options.peer:
+        raise ConfigError("--host: found a peer or a recording, expected --host alone: it checks this machine only")
+    peer = not (is_file or options.host)
+    values = values_with_effect(options, OPTIONS, {PEER: peer}, _ABSENT)
+    config = Path(values["config"]) if values["config"] else None
+    if is_file:
+        return lint_run.run(argparse.Namespace(file=options.peer, config=config, json=values["json"]))
+    if options.host:
+        return _printed(examine_host(SystemClock()), values["json"])
+    if values["allow"] and not values["listen"]:
+        raise ConfigError("--allow: found no --listen, expected it: the option has no effect here")
+    if not options.peer and not values["listen"]:
+        raise ConfigError("found no peer, expected its HOST:PORT, a recording, --listen or --host")
+    listen = notations.peer_address(values["listen"]) if values["listen"] else None
+    ours, servers = ([place] if place else [] for place in (listen, options.peer))
+    tls_listen, tls_connect = bridge_options.secured(values, ours, servers)
+    how = ExamineOptions(
+        connect=options.peer,
+        listen=listen,
+        tls=bridge_options.tls(values),
+        tls_listen=bool(tls_listen),
+        tls_connect=bool(tls_connect),
+        **{name: values[name] for name in ("seconds", "messages", "speak", "allow", "ros")},
+    )
+    with stop_event() as stop, cpu_time.not_counted():
+        report = DoctorReport.of(examine(load_config(config), how, SystemClock(), stop))
+    return _printed(report, values["json"])
+
+
+def _printed(report: DoctorReport | HostReport, as_json: bool) -> int:
+    """Print a report, and return the exit code."""
+    if as_json:
+        print_json(report.to_dict())
+    else:
+        for line in report.lines():
+            print_line(line)
+    return int(report.failed)

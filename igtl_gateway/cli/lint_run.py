@@ -1,0 +1,33 @@
+"""``igtl-gateway doctor FILE``, formerly ``lint``: the rules of ``doctor`` on a recording."""
+
+from __future__ import annotations
+
+import argparse
+
+from igtl_gateway.app.linting import observe
+from igtl_gateway.base.errors import DamagedRecording
+from igtl_gateway.cli.common import count_text
+from igtl_gateway.cli.terminal import print_json, print_line
+from igtl_gateway.doctor.report import DoctorReport
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.salvage import Salvage
+
+
+def run(options: argparse.Namespace) -> int:
+    try:
+        with SessionFile.open(options.file) as file:
+            seen = observe(file, options.config)
+    except DamagedRecording as error:
+        if options.file.is_dir():
+            raise  # it names the part that is damaged
+        with Salvage.open(options.file) as salvage:
+            seen = observe(salvage, options.config)
+        seen.damage = str(error)
+    report = DoctorReport.of(seen)
+    if options.json:
+        print_json({"file": str(options.file)} | report.to_dict())
+    else:
+        print_line(f"{options.file}: {count_text(len(seen.streams), 'OpenIGTLink stream')}")
+        for line in report.lines():
+            print_line(line)
+    return int(report.failed)

@@ -1,0 +1,45 @@
+"""What a verb imports before it has something to do: help and completion wait for nothing that only a run needs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from igtl_gateway.cli.verbs import LABORATORY, available, own_verb
+from igtl_gateway.convert import choices, profiles, table, units
+
+#: Libraries and parts of the program that take longer to import than the help to print.
+HEAVY = (
+    *("numpy", "mcap", "lz4", "zstandard", "rosbags", "rerun", "av", "cryptography", "pyarrow", "ruamel", "rclpy"),
+    *("asyncio", "concurrent.futures", "http", "sqlite3", "ssl", "urllib.request", "xml"),
+    *("igtl_gateway.api", "igtl_gateway.app.bridge", "igtl_gateway.convert.profiles", "igtl_gateway.convert.table"),
+    *("igtl_gateway.gateway.core", "igtl_gateway.record.sessionfile.reader", "igtl_gateway.replay"),
+)
+_PROGRAM = """
+import contextlib, io, sys
+from igtl_gateway.cli import main
+with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
+    main(sys.argv[1:])
+print(*sys.modules, sep="\\n")
+"""
+
+
+def modules_after(*words: str) -> set[str]:
+    """The modules of a process of its own that has run a command line."""
+    run = subprocess.run([sys.executable, "-c", _PROGRAM, *words], capture_output=True, text=True, check=True)
+    return set(run.stdout.split())
+
+
+@pytest.mark.parametrize("verb", [name for name in available() if own_verb(name) and name not in LABORATORY])
+def test_the_help_of_a_verb_imports_nothing_heavy(verb: str) -> None:
+    found = modules_after(verb, "--help")
+    assert "igtl_gateway.cli.options" in found
+    assert sorted(found.intersection(HEAVY)) == []
+
+
+def test_what_a_user_chooses_from_is_what_the_tables_have() -> None:
+    assert list(choices.PROFILES) == [profile.name for profile in profiles.PROFILES]
+    assert list(choices.UNITS) == list(units.UNITS)
+    assert list(choices.KINDS) == sorted({row.kind for row in table.TO_ROS})
