@@ -24,6 +24,7 @@ from igtl_gateway.addons.exchange.itk_hdf5 import HDF5, read_hdf5
 Array = npt.NDArray[np.float64]
 
 TEXT = b"#Insight Transform File V"
+_HEAD = "#Insight Transform File V1.0"
 _NAME = re.compile(r"([A-Za-z0-9]+)_(?:double|float)_(\d{1,3})_(\d{1,3})")
 #: Header of a matrix of MATLAB level 4: number type, rows, columns, imaginary part, bytes of the name.
 _MAT = struct.Struct("<5i")
@@ -248,6 +249,8 @@ def _rotation(quaternion: list[float]) -> Rows:
 
 def _of_text(text: str, where: str) -> Iterator[ItkTransform]:
     """Yield the transforms of the lines ``Transform:``, ``Parameters:`` and ``FixedParameters:``."""
+    if (head := text.partition("\n")[0].strip()) != _HEAD:
+        raise UnsupportedRecording(f"{where}: line 1: found {head[:40]!r}, expected {_HEAD!r}")
     name, numbers, found = "", dict[str, list[float]](), 0
     for at, line in enumerate(text.splitlines(), 1):
         key, colon, value = line.partition(":")

@@ -22,6 +22,10 @@ LINE, PLANE, ROI = "Line", "Plane", "ROI"
 #: Kinds of markups, by the names of 3D Slicer.
 KINDS = ("Fiducial", LINE, "Angle", "Curve", "ClosedCurve", PLANE, ROI)
 _SCHEMA = re.compile(rb'"@schema"\s*:\s*"[^"]*markups-schema|"markups"\s*:\s*\[')
+_FIRST_SCHEMA = re.compile(r"markups-schema-v1(?![0-9])")
+#: Versions of ``.fcsv``: those of 3D Slicer, of which 4 has begun with them.
+_FCSV_VERSIONS = ("4", "5")
+_NUMBER = re.compile("[0-9]+")
 _SPACES = {"LPS": -1.0, "RAS": 1.0, "1": -1.0, "0": 1.0}
 _DEFINED = "defined"
 _COLUMNS = ("id", "x", "y", "z", "ow", "ox", "oy", "oz", "vis", "sel", "lock", "label", "desc", "associatedNodeID")
@@ -72,6 +76,7 @@ def read_markups(path: Path) -> list[Markup]:
 def _of_json(text: str, where: str) -> list[Markup]:
     limits.check_limit("count", text.count("{"), f"{where}: objects")
     document = parse_json(text, where)
+    _check_schema(_fields(document, where).get("@schema"), where)
     found = _list(_fields(document, where).get("markups"), f"{where}: markups")
     limits.check_limit("fields", len(found), f"{where}: markups")
     lists = (each.get("controlPoints") for each in found if isinstance(each, dict))
@@ -81,6 +86,12 @@ def _of_json(text: str, where: str) -> list[Markup]:
         _markup(_fields(each, f"{where}: markup {at}"), f"{where}: markup {at}") for at, each in enumerate(found)
     ]
     return markups
+
+
+def _check_schema(found: Any, where: str) -> None:
+    """Raise UnsupportedRecording for another version of the format; a file without one is taken as of the first."""
+    if found is not None and not (isinstance(found, str) and _FIRST_SCHEMA.search(found)):
+        raise UnsupportedRecording(f"{where}: @schema: found {_shown(found)}, expected markups-schema-v1")
 
 
 def _markup(fields: dict[str, Any], where: str) -> Markup:
@@ -136,6 +147,9 @@ def _of_table(text: str, where: str) -> Markup:
     limits.check_limit("document", max(map(len, lines)), f"{where}: characters of a line")
     head = [line.lstrip("# ").partition("=") for line in lines if line.startswith("#")]
     facts = {key.strip(): value.strip() for key, equals, value in head if equals}
+    version = next((text for key, text in facts.items() if key.lower() == "markups fiducial file version"), "4")
+    if not (number := _NUMBER.search(version)) or number[0] not in _FCSV_VERSIONS:
+        raise UnsupportedRecording(f"{where}: version: found {_shown(version)}, expected 4 or 5")
     sign = _sign(facts.get("CoordinateSystem", "LPS"), f"{where}: CoordinateSystem")
     columns = [name.strip() for name in facts.get("columns", "").split(",") if name.strip()]
     columns = columns or list(_COLUMNS)

@@ -29,6 +29,7 @@ from igtl_gateway.addons.exchange.raster import (
     check_axes,
     check_steps,
     fourth_axis_as_time,
+    parse_finite,
     parse_number,
     parse_whole,
 )
@@ -221,8 +222,10 @@ def _times(fields: dict[str, str], roles: list[str], count: int, where: str) -> 
     """Return the times of the frames of a plain image with four axes, in seconds: those of 3D Slicer, or by a step."""
     values = fields.get("axis 3 index values", "").split()
     unit, label = fields.get("NRRD_units[3]", ""), fields.get("NRRD_labels[3]", "")
-    if len(values) == count and (unit == "s" or (not unit and label == "time")):
-        return tuple(parse_number(value, "axis 3 index values", where) for value in values)
+    if values and (unit == "s" or (not unit and label == "time")):
+        if len(values) != count:
+            raise DamagedRecording(f"{where}: axis 3 index values: found {len(values)} numbers, expected {count}")
+        return tuple(parse_finite(value, "axis 3 index values", where) for value in values)
     step = (_floats(fields, _SPACING, len(roles), where) or [0.0] * len(roles))[roles.index(FRAME)]
     if not MIN_STEP_S <= step < MAX_STEP_S or count > limits.current_limits().count:
         return ()

@@ -30,10 +30,12 @@ from igtl_gateway.addons.exchange.raster import (
     check_axes,
     check_steps,
     fourth_axis_as_time,
+    parse_finite,
     parse_number,
     parse_whole,
 )
 
+_VERSIONS = frozenset(("NRRD00.01", *(f"NRRD000{number}" for number in range(1, 7))))
 _TYPES = {
     **dict.fromkeys(("signed char", "int8", "int8_t"), "i1"),
     **dict.fromkeys(("uchar", "unsigned char", "uint8", "uint8_t"), "u1"),
@@ -104,9 +106,11 @@ def read_nrrd(path: Path, stream: BinaryIO) -> ImageFile:
 def _read(path: Path, stream: BinaryIO) -> ImageFileHeader:
     """Read ``field: value`` and ``key:=value`` lines up to an empty line, or to the end of a detached header."""
     header = ImageFileHeader()
-    for line in header_lines(stream, str(path)):
+    for number, line in enumerate(header_lines(stream, str(path)), 1):
         if not line:
             break
+        if number == 1 and line.strip() not in _VERSIONS:
+            raise UnsupportedRecording(f"{path}: line 1: found {line[:20]!r}, expected NRRD0001 to NRRD0006")
         if line.startswith(("#", "NRRD")):
             continue
         key, separator, value = line.partition(":=")
@@ -302,12 +306,15 @@ def _times(
     # 3D Slicer counts the axes of a picture without that of its colours: the frames have axis 3, or 0 in newer versions
     key = next((each for each in (axis, 3, 0) if f"axis {each} index values" in fields), axis)
     values = fields.get(f"axis {key} index values", "").split()
-    if len(values) == sizes[axis] and fields.get(f"axis {key} index type", "numeric") == "numeric":
+    if values and fields.get(f"axis {key} index type", "numeric") == "numeric":
+        name = f"axis {key} index values"
+        if len(values) != sizes[axis]:
+            raise DamagedRecording(f"{where}: {name}: found {len(values)} numbers, expected {sizes[axis]}")
         unit = fields.get(f"axis {axis} index unit", "") or _word(fields.get("units", ""), axis)
         label = _word(fields.get("labels", ""), axis)
         scale = _SECONDS.get(unit.lower(), 1.0 if "time" in label.lower() else 0.0)
         if scale:
-            return tuple(parse_number(value, f"axis {axis} index values", where) * scale for value in values)
+            return tuple(parse_finite(value, name, where) * scale for value in values)
         notes.append(f"index values of the frames ({label[:40] or 'no label'}, {unit[:20] or 'no unit'}) are not times")
         return ()
     vector = vectors[axis]

@@ -133,6 +133,14 @@ def parse_number(word: str, what: str, where: str) -> float:
         raise DamagedRecording(f"{where}: {what}: found {word[:40]!r}, expected a number") from None
 
 
+def parse_finite(word: str, what: str, where: str) -> float:
+    """Parse a finite number of a header.  Raises DamagedRecording."""
+    value = parse_number(word, what, where)
+    if not math.isfinite(value):
+        raise DamagedRecording(f"{where}: {what}: found {word[:40]!r}, expected a finite number")
+    return value
+
+
 def parse_whole(word: str, what: str, where: str) -> int:
     """Parse an integer of a header, of at most 18 digits.  Raises DamagedRecording."""
     digits = word.removeprefix("-").removeprefix("+")

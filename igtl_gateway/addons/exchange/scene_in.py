@@ -13,6 +13,7 @@ from __future__ import annotations
 import heapq
 import lzma
 import math
+import re
 import tempfile
 import zipfile
 import zlib
@@ -29,7 +30,7 @@ from igtl_gateway.addon.untrusted import Element, files, limits, parse_xml, whol
 from igtl_gateway.addon.writing import make_folder, open_new
 from igtl_gateway.addons.exchange.markups import Markup, read_markups
 from igtl_gateway.addons.exchange.scene_nodes import read_facts
-from igtl_gateway.addons.exchange.sequence import DEFAULT_EPOCH_NS
+from igtl_gateway.addons.exchange.sequence import DEFAULT_EPOCH_NS, no_pose
 from igtl_gateway.addons.exchange.sequence import Sequence as SequenceFile
 from igtl_gateway.addons.exchange.slicer_file import content_of
 from igtl_gateway.addons.exchange.source import (
@@ -73,6 +74,9 @@ _OTHERS = {
     "FiberBundle": "fibre bundles",
 }
 _MARKUPS = frozenset(tag for tag in _NODES if tag.startswith("Markups"))
+#: The version that a scene states, and the newest one whose scenes are known.
+_VERSION = re.compile(r"[A-Za-z- ]*([0-9]{1,4})(?:\.([0-9]{1,6}))?(?:[.-].*)?")
+_NEWEST = (5, 13)
 #: Times from 1970 to 2106.
 _END_NS = NS_PER_S << 32
 
@@ -321,6 +325,7 @@ class SceneSource(NonRosSource):
 
     def _read(self, epoch_ns: int | None) -> None:
         root, self._document_bytes = _document(self._files)
+        self._note_version(root, self._files.where)
         nodes = self._scene = _nodes(root)
         self.title = f"scene {self._path.name}"
         browsers = [node for node in nodes.values() if node.element.name == "SequenceBrowser"]
@@ -365,6 +370,14 @@ class SceneSource(NonRosSource):
                 f"{self._path}: found {f'only {found}' if found else 'no poses, pictures, points or strings'}, "
                 f"expected {'poses, pictures, points or strings' if found else 'some'}"
             )
+
+    def _note_version(self, root: Element, where: str) -> None:
+        """Add a note on the version of a scene that is not known: it may have what is not seen here."""
+        version = root.attributes.get("version", "")
+        found = _VERSION.fullmatch(version)
+        if version and not (found and (int(found[1]), int(found[2] or 0)) <= _NEWEST):
+            newest = ".".join(map(str, _NEWEST))
+            self.notes.append(f"{where}: found the version {version[:40]!r}, known are those up to Slicer{newest}")
 
     def _device(self, node: _Node, shown: _Node | None) -> str:
         """Return the name of a node as that of a device: of our own scenes, that of the device."""
@@ -441,6 +454,7 @@ class SceneSource(NonRosSource):
             self._opened.append(place)
             root, size = _document(place, self._document_bytes)
             self._document_bytes += size
+            self._note_version(root, where)
             self._inner[path] = place, _nodes(root)
         return self._inner[path]
 
@@ -543,7 +557,9 @@ class SceneSource(NonRosSource):
             numbers = [float(word) for word in text.split()]
         except ValueError:
             numbers = []
-        if len(numbers) != 16 or not all(map(math.isfinite, numbers)):
+        rows = [numbers[row : row + 4] for row in range(0, 16, 4)]
+        why = f"{len(numbers)} numbers" if len(numbers) != 16 else no_pose(rows)
+        if why:
             kept = scene.get(node.refers.get("storage", ""))
             found = (
                 f"the file {kept.element.attributes.get('fileName', '')[:60]!r}"
@@ -551,9 +567,10 @@ class SceneSource(NonRosSource):
                 else repr(text[:60])
             )
             raise UnsupportedRecording(
-                f"{self._path}: {node.name}: line {node.element.line}: found {found}, expected a matrix of 16 numbers"
+                f"{self._path}: {node.name}: line {node.element.line}: found {found} ({why}), "
+                "expected the matrix of a pose, 16 numbers"
             )
-        return Transform.from_rows([numbers[row : row + 4] for row in range(0, 16, 4)])
+        return Transform.from_rows(rows)
 
     def _time(self, text: str, name: str) -> int:
         try:

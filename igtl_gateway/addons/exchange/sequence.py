@@ -64,6 +64,8 @@ _IMAGE_STATUS = ("ImageStatus", "Status")
 _TIMESTAMP = "Timestamp"
 
 _LINK = 1
+#: Largest number of a TRANSFORM; difference of numbers that are equal.
+_MOST, _EQUAL = 3.4e38, 1e-6
 #: End of the range of OpenIGTLink stamps, in 2106; UTC ns.
 _STAMPS_END = NS_PER_S << 32
 #: Longest header field that the session metadata contains, in characters.
@@ -204,7 +206,13 @@ class Sequence(NonRosSource):
             if status == OK:
                 invalid.discard(name)
                 text, place = fields[f"{name}Transform"], f"{self._path}: frame {index}, {name}Transform"
-                content = Transform.from_rows(_matrix(text, place))
+                rows = _matrix(text, place)
+                if why := no_pose(rows):
+                    row = self._transform_rows[name]
+                    row.left_out += 1
+                    row.why = f"{row.why}; {why}" if row.why and why not in row.why else why
+                    continue
+                content = Transform.from_rows(rows)
                 self._transform_rows[name].taken += 1
                 yield peer_item(time_ns, _LINK, join(encode(Message("TRANSFORM", device, content, ticks))))
             elif name not in invalid:
@@ -299,6 +307,14 @@ def _device_names(names: list[str]) -> dict[str, str]:
         devices[name] = device
         taken.add(device)
     return devices
+
+
+def no_pose(rows: list[list[float]]) -> str:
+    """Return why a matrix (4, 4) cannot be that of a TRANSFORM, whose numbers are float32; ``""`` if it can."""
+    if not all(abs(value) <= _MOST for row in rows for value in row):  # NaN neither
+        return "not finite, or beyond float32"
+    last = zip(rows[3], (0.0, 0.0, 0.0, 1.0), strict=True)
+    return "" if all(abs(value - wanted) <= _EQUAL for value, wanted in last) else "its last row is not 0 0 0 1"
 
 
 def _matrix(text: str, place: str) -> list[list[float]]:

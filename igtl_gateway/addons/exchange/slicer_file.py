@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
 from igtl_gateway.addon.igtl import (
     ENTRY_AND_TARGET,
     Body,
@@ -28,7 +29,7 @@ from igtl_gateway.addon.igtl import (
 from igtl_gateway.addon.reading import join
 from igtl_gateway.addons.exchange.itk_transform import read_transform, to_parent
 from igtl_gateway.addons.exchange.markups import LINE, PLANE, ROI, Markup, read_markups
-from igtl_gateway.addons.exchange.sequence import DEFAULT_EPOCH_NS
+from igtl_gateway.addons.exchange.sequence import DEFAULT_EPOCH_NS, no_pose
 from igtl_gateway.addons.exchange.source import (
     ImportedItem,
     ImportedStream,
@@ -84,10 +85,13 @@ def open_markups(path: Path, epoch_ns: int | None = None) -> SlicerFile:
 
 def _transform(path: Path, source: SlicerFile) -> list[Content]:
     kind, from_parent = read_transform(path)
+    rows = [*to_parent(from_parent, str(path)), [0.0, 0.0, 0.0, 1.0]]
+    if why := no_pose(rows):
+        raise DamagedRecording(f"{path}: found a matrix ({why}), expected that of a pose")
     device = _device(path, source)
     source.rows.append(ImportedStream(device, 1, "TRANSFORM", taken=1))
     source.notes.append(f"{kind}: the transform from the node to its parent in RAS, which 3D Slicer shows")
-    return [("TRANSFORM", device, Transform.from_rows(to_parent(from_parent, str(path))))]
+    return [("TRANSFORM", device, Transform.from_rows(rows))]
 
 
 def _markups(path: Path, source: SlicerFile) -> list[Content]:
@@ -115,7 +119,7 @@ def _markups(path: Path, source: SlicerFile) -> list[Content]:
                 f"{device}: the {markup.kind} has no size around its centre: only its points are imported"
             )
     if not markups:
-        source.notes.append("the file has no markups")
+        raise UnsupportedRecording(f"{path}: found no markups, expected some")
     return contents
 
 

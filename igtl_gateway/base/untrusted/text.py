@@ -48,7 +48,7 @@ def parse_json(text: str, place: str) -> Any:
     try:
         return json.loads(text, parse_int=bounded_integer)
     except (ValueError, RecursionError) as error:
-        raise DamagedRecording(f"{place}: found invalid JSON: {error}") from None
+        raise DamagedRecording(f"{place}: found invalid JSON: {error}, expected a whole document") from None
 
 
 def parse_toml(data: bytes, place: str) -> dict[str, Any]:

@@ -83,7 +83,8 @@ def parse_xml(data: str | bytes, place: str) -> Element:
         parser.Parse(data.encode("utf-8", "replace") if isinstance(data, str) else data, True)
     except expat.ExpatError as error:
         reason = expat.ErrorString(error.code)
-        raise DamagedRecording(f"{place}: line {error.lineno}: found invalid XML: {reason}") from None
+        what = f"line {error.lineno}: found invalid XML: {reason}"
+        raise DamagedRecording(f"{place}: {what}, expected a whole document") from None
     except (LookupError, ValueError) as error:  # an encoding that Python does not know
-        raise DamagedRecording(f"{place}: found invalid XML: {error}") from None
+        raise DamagedRecording(f"{place}: found invalid XML: {error}, expected a whole document") from None
     return top[0]

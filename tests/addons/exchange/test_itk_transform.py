@@ -87,6 +87,7 @@ def test_the_inverse_is_in_ras() -> None:
         (AFFINE.replace("double_3_3", "double_2_2"), UnsupportedRecording, "of 2 dimensions, expected 3"),
         (AFFINE.replace("Affine", "Wavelet"), UnsupportedRecording, "found WaveletTransform, expected one of Affine"),
         (AFFINE.replace("AffineT", "BSplineT"), UnsupportedRecording, "found a B-spline .*expected a linear transform"),
+        (AFFINE.replace("V1.0", "V9.9"), UnsupportedRecording, "line 1: found '#Insight .* V9.9', expected .* V1.0'"),
         (AFFINE + AFFINE[len(HEAD) :], UnsupportedRecording, "found 2 transforms, expected one, or one Composite"),
     ],
 )

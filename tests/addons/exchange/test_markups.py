@@ -34,7 +34,15 @@ def point(**changed: Any) -> str:
 
 
 BAD = [
-    ("{", DamagedRecording, "found invalid JSON"),
+    ("{", DamagedRecording, "found invalid JSON: .*, expected a whole document"),
+    *(
+        (
+            json.dumps({"@schema": schema, "markups": []}),
+            UnsupportedRecording,
+            "@schema: found .*, expected markups-schema-v1",
+        )
+        for schema in ("https://x/markups-schema-v2.0.0.json#", "https://x/markups-schema-v10.0.0.json#", "mine", 7)
+    ),
     ('{"markups": 1}', DamagedRecording, "markups: found 1, expected a list"),
     ('{"markups": [1]}', DamagedRecording, "markup 0: found 1, expected an object"),
     (document(type="Spline"), UnsupportedRecording, "type: found 'Spline', expected one of Fiducial"),
@@ -51,6 +59,9 @@ BAD = [
     (document(type="ROI", size=[1, 2]), DamagedRecording, r"size: found \[1, 2\], expected 3 numbers"),
 ]
 BAD_TABLES = [
+    (FCSV.replace("4.11", "Holo"), "version: found 'Holo', expected 4 or 5"),
+    (FCSV.replace("4.11", "slicer-core-9.11"), "version: found 'slicer-core-9.11', expected 4 or 5"),
+    (FCSV.replace("4.11", "9.11"), "version: found '9.*', expected 4 or 5"),
     (FCSV + "1,1,2\n", "line 4: found '1,1,2', expected numbers for x, y and z"),
     (FCSV + "1,1,2,x,F\n", "line 4: .*expected numbers"),
     (FCSV + "1,1,2,inf,F\n", "line 4: .*expected finite numbers"),

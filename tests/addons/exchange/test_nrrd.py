@@ -145,6 +145,17 @@ def test_sequences_of_slicer(tmp_path: Path, first: bool) -> None:
         assert image.wire_matrix == (0.5, 0, 0, 0, 0, 2, 0, 1.5, 0, 1.75, 2.75, 5)
 
 
+FRAMES = ("sizes: 4 3 2", "kinds: domain domain list", 'labels: "" "" "time"', 'units: "" "" "s"')
+
+
+@pytest.mark.parametrize("version", ["NRRD0000", "NRRD0007", "NRRD0009", "NRRD00041"])
+def test_another_version_is_refused(tmp_path: Path, version: str) -> None:
+    path = tmp_path / "some.nrrd"
+    path.write_bytes(f"{version}\ntype: uchar\nencoding: raw\nsizes: 4 3 2\n\n".encode() + bytes(24))
+    with pytest.raises(UnsupportedRecording, match=f"line 1: found '{version}', expected NRRD0001 to NRRD0006"):
+        images_of(path)
+
+
 @table(
     ("lines", "text"),
     [
@@ -175,6 +186,9 @@ def test_sequences_of_slicer(tmp_path: Path, first: bool) -> None:
         (("sizes: 4 3 2", "data file: ../some.raw"), "in the same folder"),
         (("sizes: 4 3 2", "line skip: 3"), "line skip"),
         (("sizes: 4 3 2", "byte skip: -7"), "byte skip"),
+        ((*FRAMES, "axis 2 index values:=0 1 2"), "axis 2 index values: found 3 numbers, expected 2"),
+        ((*FRAMES, "axis 2 index values:=0"), "axis 2 index values: found 1 numbers, expected 2"),
+        ((*FRAMES, "axis 2 index values:=0 nan"), "axis 2 index values: found 'nan', expected a finite number"),
     ],
 )
 def test_what_is_wrong_is_said(tmp_path: Path, lines: tuple[str, ...], text: str) -> None:

@@ -195,6 +195,7 @@ def pixels(name: str) -> Callable[[Path], Path]:
     return lambda path: bundle(path, mrml(node), {"S/Data/v.seq.nhdr": header.encode()})
 
 
+HUGE = "1 0 0 1e300 0 1 0 0 0 0 1 0 0 0 0 1"
 BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     "not a zip": (cut, "zip"),
     "a damaged file": (garbled, "S/Data/a.seq.mha: found a damaged zip (Bad CRC-32"),
@@ -214,7 +215,13 @@ BAD: dict[str, tuple[Callable[[Path], Path], str]] = {
     ),
     "a file that is missing": (lambda path: bundle(path, mrml(stored("Data/no.seq.mha"))), "found no 'S/Data/no"),
     "a matrix of words": (lambda path: bundle(path, mrml(pose(matrix="a b"))), "16 numbers"),
-    "broken xml": (lambda path: bundle(path, "<MRML><a>"), "invalid XML"),
+    "broken xml": (lambda path: bundle(path, "<MRML><a>"), "invalid XML: no element found, expected a whole document"),
+    "a matrix with another last row": (
+        lambda path: bundle(path, mrml(pose(matrix="1 " * 16))),
+        "its last row is not 0 0 0 1",
+    ),
+    "a matrix of NaN": (lambda path: bundle(path, mrml(pose(matrix="nan " * 16))), "(not finite, or beyond float32)"),
+    "a matrix beyond float32": (lambda path: bundle(path, mrml(pose(matrix=HUGE))), "(not finite, or beyond float32)"),
     "two scenes": (lambda path: bundle(path, mrml(pose()), {"S/T.mrml": b"<MRML/>"}), "found 2 scenes"),
 }
 
@@ -234,6 +241,17 @@ def test_bad_scenes_are_refused_with_place_found_and_expected(
     assert "Traceback" not in text
     assert not out.exists()
     assert not (tmp_path.parent / "out.txt").exists()
+
+
+KNOWN = ("Slicer4.4.0", "Slicer5.13.0-2026", "slicer-core-5.13.1.0", "5.8")
+
+
+@pytest.mark.parametrize("version", [*KNOWN, "Slicer99", "Slicer5.14.0", "Holo"])
+def test_a_version_that_is_not_known_is_noted(tmp_path: Path, capsys: pytest.CaptureFixture[str], version: str) -> None:
+    path = bundle(tmp_path / "v.mrb", mrml(pose()).replace("Slicer5", version))
+    assert main(["import", str(path), "-o", str(tmp_path / "v.mcap")]) == 0
+    text = capsys.readouterr().out
+    assert (f"found the version '{version}', known are those up to Slicer5.13" not in text) == (version in KNOWN)
 
 
 def test_a_link_out_of_the_folder_of_a_scene_is_refused(tmp_path: Path) -> None:

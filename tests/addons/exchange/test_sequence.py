@@ -205,6 +205,31 @@ def test_what_is_damaged_is_refused(tmp_path: Path) -> None:
         Sequence(path)
 
 
+@pytest.mark.parametrize(
+    ("matrix", "why"),
+    [
+        ("nan 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1", "not finite"),
+        ("1 0 0 inf 0 1 0 0 0 0 1 0 0 0 0 1", "not finite"),
+        ("1 0 0 1e300 0 1 0 0 0 0 1 0 0 0 0 1", "beyond float32"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0 0 0 1 1", "its last row is not 0 0 0 1"),
+    ],
+)
+def test_a_matrix_that_is_no_pose_is_left_out_and_counted(tmp_path: Path, matrix: str, why: str) -> None:
+    path = tmp_path / "some.mha"
+    good = "1 0 0 5 0 1 0 0 0 0 1 0 0 0 0 1"
+    frames = "".join(
+        f"Seq_Frame{number:04}_AToBTransform = {text}\nSeq_Frame{number:04}_Timestamp = {number}\n"
+        for number, text in enumerate((good, matrix, good))
+    )
+    path.write_text(
+        f"ObjectType = Image\nNDims = 3\nDimSize = 0 0 3\nElementType = MET_UCHAR\n{frames}ElementDataFile = LOCAL\n"
+    )
+    with closing(Sequence(path)) as source:
+        items = [item for item in source.items() if item.kind is Kind.IGTL_IN]
+        (row,) = [row for row in source.rows if row.type == "TRANSFORM"]
+    assert len(items) == 2 and (row.declared, row.taken, row.left_out) == (3, 2, 1) and why in row.why
+
+
 #: Shapes of headers that PLUS writes → size, components and number of the images that they are.
 SHAPES = {
     "a volume with the status of its one frame": (
