@@ -28,6 +28,15 @@ def test_names_are_expected_and_patterns_are_not() -> None:
     ]
 
 
+def test_what_is_selected_by_pattern_is_expected_where_it_is_asked_for() -> None:
+    found = expected_sources(Config(), included=["IMAGE/*"], excluded=["/tf*", "Camera"], classed=["/video/**"])
+    assert {(each.kind, each.name, each.setting, each.is_optional) for each in found} == {
+        ("stream", "IMAGE/*", "--record-include", False),
+        ("stream", "Camera", "--record-exclude", True),
+        ("stream", "/video/**", "--site-class", False),
+    }
+
+
 ALL = {"/tol", "tip", "elbow", "base", "/PSM1", "Prob"}
 
 

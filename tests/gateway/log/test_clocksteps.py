@@ -56,6 +56,7 @@ class Times:
     ("stream", "expected"),
     [
         (Times(10, 20, 3), Times(1010, 1020, 3)),  # silent since: the next message is not later for it
+        (Times(10, 31, 3), Times(1010, 1031, 3)),  # the last one at the moment before the jump
         (Times(10, 1030, 1005), Times(1010, 1030, 5)),
         (Times(1028, 1030, 2), Times(1028, 1030, 2)),  # begun behind it
         (Times(0, 0, 0), Times(0, 0, 0)),  # not begun

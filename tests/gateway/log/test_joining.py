@@ -74,3 +74,10 @@ def test_of_two_samples_at_one_distance_the_earlier_one_counts() -> None:
     found = pick(times, wanted, "nearest", most_ns=50)
     assert (found.before.tolist(), found.good.tolist()) == ([0, 0, 1], [True] * 3)
     assert not pick(times, wanted, "nearest", most_ns=49).good[1]
+
+
+def test_between_two_samples_includes_both() -> None:
+    times, wanted = arrays([10, 20, 30], [9, 10, 15, 30, 31])
+    picks = pick(times, wanted, "interpolate")
+    assert picks.good.tolist() == [False, True, True, True, False]
+    assert pick(times, wanted, "interpolate", end_ns=1).good.tolist() == [True] * 5

@@ -41,3 +41,17 @@ def test_gaps_are_found_in_streams_peers_and_sums() -> None:
         "igtl_in A: received 6, accounted for 5",
         "to peer 1 host:5: sent 8, accounted for 7",
     ]
+
+
+def test_the_totals_by_direction_have_the_streams_with_messages() -> None:
+    ledger = Ledger()
+    ledger.count("igtl_in", "STATUS/A", "received", 3)
+    ledger.count("igtl_out", "STATUS/B", "sent", 2)
+    ledger.count("igtl_out", "STATUS/C", "sent")
+    ledger.count("ros_out", "/d", "published", 4)
+    ledger.count("ros_in", "/e", "converted", 4)
+    assert ledger.totals() == {
+        "igtl_in": {"STATUS/A": 3},
+        "igtl_out": {"STATUS/B": 2, "STATUS/C": 1},
+        "ros_out": {"/d": 4},
+    }

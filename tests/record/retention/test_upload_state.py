@@ -10,7 +10,7 @@ import pytest
 
 from igtl_gateway.addons.upload import s3
 from igtl_gateway.base.untrusted.text import parse_json
-from igtl_gateway.record.retention.upload_state import SUFFIX, UploadState, UploadStates
+from igtl_gateway.record.retention.upload_state import SUFFIX, UploadState, UploadStates, remove_finished
 from tests.addons.upload import test_uploading
 from tests.addons.upload.store import Store
 
@@ -92,3 +92,21 @@ def test_files_of_aws_are_ordinary_files_with_plain_keys(tmp_path: Path, monkeyp
             assert secret not in str(found.value)
         else:
             assert s3._keys().secret == secret
+
+
+def test_a_state_goes_with_the_last_file_of_its_recording(tmp_path: Path) -> None:
+    """One without files stays: its recording may just have begun.  One that is in use stays, too."""
+    for base, names in (("gone", ["gone.mcap"]), ("there", ["there.mcap"]), ("new", []), ("used", ["used.mcap"])):
+        state = UploadState(tmp_path, base)
+        assert state.lock()
+        state.begin("s3://bucket")
+        for name in names:
+            state.set(name, upload="1")
+        state.close()
+    used = UploadState(tmp_path, "used")
+    assert used.lock()
+    remove_finished(tmp_path, {"there.mcap", "other.mcap"})
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"{base}{SUFFIX}" for base in ("new", "there", "used")]
+    used.close()
+    remove_finished(tmp_path, set())
+    assert [path.name for path in tmp_path.iterdir()] == [f"new{SUFFIX}"]
