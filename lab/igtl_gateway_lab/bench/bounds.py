@@ -83,6 +83,14 @@ BOUNDS: Sequence[Bound] = (
     Bound("times_mixed_load", 8, ("recording",), least=True),
     Bound("port_p50_s", 0.5, ("start-up",)),
     Bound("gateway_rss_mb", 120, ("start-up", "idle")),
+    Bound("cpu_ratio", 1.0, ("offline",), stream="info, *"),
+    Bound("cpu_ratio", 2.0, ("offline",), stream="recover, *"),
+    Bound("cpu_ratio", 2.0, ("offline",), stream="slice *"),
+    Bound("cpu_ratio", 2.0, ("offline",), stream="view *, A"),
+    Bound("cpu_ratio", 0.3, ("offline",), stream="export *"),
+    Bound("us_an_entry", 3.4, ("offline",), stream="verify, A"),
+    Bound("us_an_entry", 1.7, ("offline",), stream="diff *, A"),
+    Bound("sent_per_s", 150_000, ("offline",), stream="replay *", least=True),
 )
 
 

@@ -21,6 +21,8 @@ _MOST = frozenset(
         "gateway_rss_mb",
         "gateway_rss_growth_mb",
         "gateway_rss_peak_mb",
+        "peak_mb",
+        "other_peak_mb",
     }
 )
 #: These belong together: those of the round that lost most.

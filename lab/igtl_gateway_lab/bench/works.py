@@ -22,6 +22,7 @@ from igtl_gateway.gateway import LINK_UP, Gateway, Session
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.recorder import Recorder
+from igtl_gateway_lab.bench import offline
 from igtl_gateway_lab.bench.bridges import HOP, free_port
 from igtl_gateway_lab.bench.cases import CASES, BenchStream, Direction, payload
 from igtl_gateway_lab.bench.figures import Row
@@ -54,6 +55,7 @@ class WorkContext:
         print_status: prints a status line.
         programs: which programs measure, see ``runner``.
         against: commands of other bridges to measure.
+        duration_s: of the recordings that are made.
     """
 
     folder: Path
@@ -61,6 +63,7 @@ class WorkContext:
     print_status: Callable[[str], None]
     programs: str = PYTHON
     against: tuple[str, ...] = ()
+    duration_s: float = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,12 +240,18 @@ def verify(shop: WorkContext) -> list[Row]:
     return rows
 
 
+def verbs(shop: WorkContext) -> list[Row]:
+    """Each verb on recordings, in turns with the programs of others, see ``offline``."""
+    return offline.measure(shop.folder, shop.duration_s, shop.clock, shop.print_status)
+
+
 WORKS: dict[str, Work] = {
     "start-up": Work("from the command to the open port and the node in ROS", start_up),
     "idle": Work("20 s with one peer and one ROS node, without messages", idle),
     "recording": Work("the mixed load through the recorder alone, as fast as it writes", recording),
     "replay": Work("20,000 transforms and 30 Full HD pictures, recorded, to a local peer at once", replay),
     "verify": Work("the recorded suturing session and 20,000 transforms", verify),
+    "offline": Work("the verbs on recordings of --duration, beside pymcap-cli and rerun", verbs),
 }
 
 

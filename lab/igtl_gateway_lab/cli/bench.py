@@ -32,6 +32,8 @@ EXAMPLES = """\
   igtl-gateway bench --case transform --against "my_bridge --port {port}"
   # measurements other than the transfer of messages
   igtl-gateway bench --case start-up idle replay verify
+  # the verbs on recordings of 300 s, beside pymcap-cli and rerun
+  igtl-gateway bench --case offline --duration 300 --rounds 3
   # where the gateway spends its time
   igtl-gateway bench --case mixed --flame out.svg
   # growing load, with fitted lines and plots

@@ -18,7 +18,7 @@ from igtl_gateway.base.errors import ConfigError, Unavailable
 from igtl_gateway.base.extras import missing
 from igtl_gateway.base.version import __version__
 from igtl_gateway.cli.terminal import print_json, print_line
-from igtl_gateway_lab.bench import flame
+from igtl_gateway_lab.bench import flame, offline
 from igtl_gateway_lab.bench.bounds import shown, with_verdict
 from igtl_gateway_lab.bench.cases import BOTH, CASES, FLOOD, SLICER, TABLE_1, Case, Direction
 from igtl_gateway_lab.bench.figures import Row
@@ -86,7 +86,8 @@ def run(options: argparse.Namespace) -> int:
         runner = Runner(Path(folder), clock, _print_status)
         for group in groups:
             rows += against_version_1(merge_rounds([_measured(runner, group) for _ in range(options.rounds)]))
-        workshop = WorkContext(Path(folder), clock, _print_status, options.programs, tuple(options.against))
+        against = tuple(options.against)
+        workshop = WorkContext(Path(folder), clock, _print_status, options.programs, against, options.duration)
         for name in works:
             rows += merge_rounds([WORKS[name].run(workshop) for _ in range(options.rounds)])
     rows = [with_verdict(row) for row in rows]
@@ -100,7 +101,9 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json({"rows": rows, **({"fits": lines} if lines else {}), "ambient": ambient})
     else:
-        print_line(*_table(rows), *_fitted(lines), "", *_ambient_text(ambient))
+        verbs = [row for row in rows if row["case"] == "offline"]
+        table = [*_table([row for row in rows if row not in verbs]), *(offline.about(verbs) if verbs else ())]
+        print_line(*table, *_fitted(lines), "", *_ambient_text(ambient))
     return 0
 
 
