@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import socket
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,7 +20,7 @@ from igtl_gateway_lab.bench import recordings, spent
 from igtl_gateway_lab.bench.figures import Row, ratio
 from igtl_gateway_lab.bench.payloads import transform
 from igtl_gateway_lab.bench.processes import BenchError
-from igtl_gateway_lab.programs import ours, parse_event
+from igtl_gateway_lab.programs import ours
 from igtl_gateway_lab.simulate.stage import START_NS
 
 #: Recording → what makes it, how many times as long as the others it is.
@@ -179,17 +181,19 @@ def _found(program: str) -> str | None:
 def _spent(command: Sequence[str], clock: Clock) -> _Spent:
     """Run a program to its end.  Raises BenchError if it does not end well."""
     begun_ns = clock.monotonic_ns()
-    done = subprocess.run(
-        [sys.executable, "-S", spent.__file__, *command],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        check=False,
-    )
-    wall_s = (clock.monotonic_ns() - begun_ns) / NS_PER_S
-    *words, last = done.stderr.decode("utf-8", "replace").splitlines()
-    figures = parse_event(last) or {"code": done.returncode}
+    with tempfile.TemporaryDirectory() as folder:
+        figures_at = Path(folder, "figures")
+        done = subprocess.run(
+            [sys.executable, "-S", spent.__file__, figures_at, *command],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            check=False,
+        )
+        wall_s = (clock.monotonic_ns() - begun_ns) / NS_PER_S
+        figures = json.loads(figures_at.read_text("ascii")) if figures_at.exists() else {"code": done.returncode}
     if figures["code"]:
-        raise BenchError(f"{' '.join(command)}: exit code {figures['code']}: {' '.join(words)[-500:]}")
+        last = done.stderr.decode("utf-8", "replace").strip()[-500:]
+        raise BenchError(f"{' '.join(command)}: exit code {figures['code']}: {last}")
     return _Spent(figures["cpu_s"], wall_s, figures["peak_kib"] / 1000)
 
 
