@@ -37,7 +37,7 @@ EXCEPTIONS: dict[str, tuple[frozenset[str], str]] = {
         "compiled message types: no data of a session",
     ),
     "edges/ros_interfaces/__main__.py": (frozenset({"mkdir", "write_text"}), "a package of message types"),
-    "cli/bench.py": (frozenset({"mkdir", "write_text"}), "figures of measurements"),
+    "cli/bench_run.py": (frozenset({"mkdir", "write_text"}), "figures of measurements"),
     "cli/demo.py": (frozenset({"mkdir"}), "recordings in it are made by the bridge, with its mode"),
     "api/recording.py": (frozenset({"symlink_to", "copyfile"}), "in a temporary directory of mode 0700"),
     "cli/stage.py": (frozenset({"write_text"}), "in a temporary directory of mode 0700"),
