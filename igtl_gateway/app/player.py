@@ -116,6 +116,7 @@ class Player:
         start_ns: recorded time of the start, and of each repetition, UTC ns; None: the first entry.
         restamp: computes new stamps; None: the stamps do not change.
         admit: returns an entry as its receivers can read it; None if none of them can.
+        admit_all: returns those of several that a receiver can read, each as ``admit`` does; None: ``admit`` for each.
         on_jump: called at every jump, in the thread of `run`.
         send_all: sends several entries in order, as ``send`` does for one; used if there are no pauses between them.
         digest: whether to compute `PlaybackCounts.digest`, which takes longer than the rest of the player.
@@ -136,6 +137,7 @@ class Player:
         start_ns: int | None = None,
         restamp: Restamper | None = None,
         admit: Callable[[Entry], Entry | None] = lambda entry: entry,
+        admit_all: Callable[[Sequence[Entry]], Sequence[Entry]] | None = None,
         on_jump: Callable[[Jump], None] = lambda jump: None,
         send_all: Callable[[Sequence[Entry]], bool] | None = None,
         digest: bool = True,
@@ -153,6 +155,7 @@ class Player:
         self._start_ns = start_ns
         self._restamp = restamp
         self._admit = admit
+        self._admit_all = admit_all or (lambda entries: [each for each in map(admit, entries) if each])
         self._on_jump = on_jump
         self._send_all = send_all
         self._changed = threading.Condition()  # guards the attributes below
@@ -309,7 +312,7 @@ class Player:
             return
         if self._restamp:
             batch = [self._restamped(each, self._restamp) for each in batch]
-        admitted = [each for each in map(self._admit, batch) if each]
+        admitted = self._admit_all(batch)
         self.played.left_out += len(batch) - len(admitted)
         if admitted:
             self._count(admitted, send_all(admitted))

@@ -40,6 +40,8 @@ _IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
 
 #: The parts of a message, and the links that get them.
 Form = tuple[Sequence[Buffer], list[int]]
+#: The same, and the stream of the message.
+Fitted = tuple[Sequence[Buffer], list[int], str]
 
 
 @dataclass(slots=True)
@@ -72,6 +74,8 @@ class Listeners:
     _peers: Peers = field(init=False)
     _names: ShownNames = field(init=False)
     _sent: set[str] = field(default_factory=set)
+    # links, type and header version → whether all links get such messages as recorded; until a peer changes
+    _unchanged: dict[tuple[tuple[int, ...], str, int], bool] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._peers = Peers(Config(profile=self.profile, cautious=True))
@@ -80,6 +84,7 @@ class Listeners:
     def on_link(self, link: int, up: bool, note: Note) -> None:
         """A listener connected or disconnected."""
         with self._lock:
+            self._unchanged.clear()
             if up:
                 self._peers.up(link, note.data, 0)
             else:
@@ -92,6 +97,7 @@ class Listeners:
             peer = self._peers.get(link)
             if peer is None or self.exact:
                 return
+            self._unchanged.clear()
             try:
                 peer.learn_from(decode(data, check_crc=False))
             except WireError:
@@ -115,30 +121,82 @@ class Listeners:
 
         If they get different bytes, it is the recorded entry.  Entries for ROS are always admitted.
         """
-        if self.exact or entry.kind not in _IGTL or not links:
-            return entry
+        return next(iter(self.admit_all([entry], links)), None)
+
+    def admit_all(self, entries: Sequence[Entry], links: Sequence[int]) -> list[Entry]:
+        """Return what :meth:`admit` returns for each entry, without those that no link can read."""
+        if self.exact or not links:
+            return list(entries)
         with self._lock:
-            forms, refused, instead = self._forms(entry, links)
-            if not forms:
-                self._count(self.left_out, entry, refused)
-                return None
-            if instead or len(forms) > 1 or forms[0][0] is entry.payload:
-                return entry
-            self._count(self.adapted, entry, forms[0][1])
-            return replace(entry, payload=forms[0][0])
+            return [one for entry in entries if (one := self._admitted(entry, tuple(links))) is not None]
+
+    def _admitted(self, entry: Entry, links: tuple[int, ...]) -> Entry | None:
+        if entry.kind not in _IGTL or self._as_recorded(entry, links):
+            return entry
+        forms, refused, instead = self._forms(entry, links)
+        if not forms:
+            self._count(self.left_out, entry, refused)
+            return None
+        if instead or len(forms) > 1 or forms[0][0] is entry.payload:
+            return entry
+        self._count(self.adapted, entry, forms[0][1])
+        return replace(entry, payload=forms[0][0])
 
     def fit(self, entry: Entry, links: Sequence[int]) -> list[Form]:
         """Return what each link gets for an entry that was admitted, and count what it does not get."""
+        return [(payload, to) for payload, to, _ in self.fit_all([entry], links)]
+
+    def fit_all(self, entries: Sequence[Entry], links: Sequence[int]) -> list[Fitted]:
+        """Return what :meth:`fit` returns for each entry, with its stream."""
         if self.exact:
-            return [(entry.payload, list(links))]
+            return [(entry.payload, list(links), entry.channel) for entry in entries]
+        together = tuple(links)
+        everyone = list(links)
+        found: list[Fitted] = []
         with self._lock:
-            forms, refused, instead = self._forms(entry, links)
-            self._count(self.left_out, entry, refused)
-            for payload, members in forms:
-                if payload is not entry.payload and not instead.intersection(members):
-                    self._count(self.adapted, entry, members)
-            self._count(self.adapted, entry, instead)
+            for entry in entries:
+                if self._as_recorded(entry, together):
+                    found.append((entry.payload, everyone, entry.channel))
+                else:
+                    found += ((payload, to, entry.channel) for payload, to in self._fitted(entry, together))
+        return found
+
+    def _fitted(self, entry: Entry, links: tuple[int, ...]) -> list[Form]:
+        forms, refused, instead = self._forms(entry, links)
+        self._count(self.left_out, entry, refused)
+        for payload, members in forms:
+            if payload is not entry.payload and not instead.intersection(members):
+                self._count(self.adapted, entry, members)
+        self._count(self.adapted, entry, instead)
         return forms
+
+    def _as_recorded(self, entry: Entry, links: tuple[int, ...]) -> bool:
+        """Return whether all links get the recorded bytes, whatever is in them; the caller has the lock.
+
+        Only what follows from the type and the header version is known; anything else has its forms.
+        """
+        head = entry.payload[0]
+        if len(head) <= HEADER_SIZE:
+            return False
+        key = (links, entry.type, head[1])
+        unchanged = self._unchanged.get(key)
+        if unchanged is None:
+            if len(self._unchanged) >= MAX_NAMES:
+                self._unchanged.clear()
+            unchanged = self._unchanged[key] = all(self._passes(entry, link) for link in links)
+        if unchanged and len(self._sent) < MAX_NAMES:
+            self._sent.add(entry.channel)
+        return unchanged
+
+    def _passes(self, entry: Entry, link: int) -> bool:
+        peer = self._peers.get(link)
+        profile = self._profile_for(peer)
+        return (
+            self.acceptance.check_crc
+            and (peer is None or _may_send(peer, profile, entry.type))
+            and profile.adapt.get(BODIES.get(entry.type, Raw)) is None
+            and _version_for(peer, profile, entry) == entry.payload[0][1]
+        )
 
     def _forms(self, entry: Entry, links: Sequence[int]) -> tuple[list[Form], list[int], set[int]]:
         """Return the forms of a message for the links, those that cannot read it, and those that get others instead.

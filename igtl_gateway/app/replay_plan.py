@@ -233,9 +233,8 @@ def igtl_sender_of_many(edge: TcpEdge, listeners: Listeners, stop: threading.Eve
 
     def send(entries: Sequence[Entry]) -> bool:
         links = connected(edge)
-        forms = ((payload, entry.channel, to) for entry in entries for payload, to in listeners.fit(entry, links))
-        for to, members in groupby(forms, key=itemgetter(2)):
-            edge.send_all(to, [(payload, channel) for payload, channel, _ in members], stop.is_set)
+        for to, members in groupby(listeners.fit_all(entries, links), key=itemgetter(1)):
+            edge.send_all(to, [(payload, channel) for payload, _, channel in members], stop.is_set)
         return bool(links)
 
     return send

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from threading import Event
@@ -52,6 +52,7 @@ class ReplaySides:
         ros: the edge, where ROS is driven.
         send_all: sends several; None: they go one by one.
         admit: returns an entry as the connected peers can read it; None if none of them can.
+        admit_all: the same for several, without those that none can read; None: they go one by one.
         listeners: the OpenIGTLink peers; None: there is no such side.
         failed: topic → messages that ROS did not take, at the end.
         traffic: link → its traffic so far.
@@ -64,6 +65,7 @@ class ReplaySides:
     ros: RosEdge | None = None
     send_all: SendAll | None = None
     admit: Callable[[Entry], Entry | None] = lambda entry: entry
+    admit_all: Callable[[Sequence[Entry]], Sequence[Entry]] | None = None
     listeners: Listeners | None = None
     failed: Callable[[], Mapping[str, int]] = dict
     traffic: Callable[[], Mapping[int, LinkCounters]] = dict
@@ -159,6 +161,7 @@ def _open_igtl(
         lambda: edge.flush(0.0 if stop.is_set() else _FLUSH_S),
         send_all=send_all,
         admit=lambda entry: listeners.admit(entry, connected(edge)),
+        admit_all=lambda entries: listeners.admit_all(entries, connected(edge)),
         listeners=listeners,
         traffic=edge.counters,
         undelivered=undelivered,

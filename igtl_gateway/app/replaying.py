@@ -194,6 +194,7 @@ def run_replay(path: Path, options: ReplayOptions, stop: Event, events: ReplayEv
             start_ns=start_ns,
             restamp=_restamper(options, file, events.on_line),
             admit=side.admit,
+            admit_all=side.admit_all,
             on_jump=lambda jump: events.jumped(jump, file.start_ns),
             send_all=side.send_all,
             digest=options.digest,

@@ -254,3 +254,26 @@ def test_the_player_counts_what_is_left_out(many: bool) -> None:
     assert played.left_out == made.left_out.total() > 0
     assert played.messages == len(sent) == len(entries) - played.left_out
     assert Counter(Header.unpack(data).type for data in sent)["GET_STATUS"] == 0
+
+
+@pytest.mark.parametrize("profile", ["auto", *sorted(BY_NAME)])
+@pytest.mark.parametrize("exact", [False, True])
+def test_what_is_known_of_a_type_changes_nothing(profile: str, exact: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Batches take a short way for what all listeners get as recorded; message by message each has its forms."""
+    entries = sent_of_every_type() * 3
+    heard = {len(entries) // 3: HELLO, len(entries) // 2: Message("CLIENTINFO", "", ClientInfo.of(client_info("")))}
+
+    def played() -> tuple[list[tuple[bytes, int, str]], Counter[tuple[str, str, str]], set[str]]:
+        made = listeners(profile=profile, exact=exact)
+        made.on_link(2, True, Note(Level.INFO, "link_up", "up", data={"peer": "127.0.0.1:5001", "role": "server"}))
+        found = []
+        for at, one in enumerate(entries):
+            if message := heard.get(at):
+                made.on_frame(1, join(encode(message)))
+            for payload, links, stream in made.fit_all(made.admit_all([one], [1, 2]), [1, 2]):
+                found += [(bytes(join(payload)), link, stream) for link in links]
+        return sorted(found), made.left_out + made.adapted, made._sent
+
+    quick = played()
+    monkeypatch.setattr(Listeners, "_as_recorded", lambda *_: False)
+    assert quick == played()
