@@ -38,6 +38,17 @@ def test_a_text_that_cannot_be_a_mark_is_refused_and_goes_to_ros() -> None:
     assert not ManualGateway().from_peer(Message("STRING", "Nurse", String(b"\n"))).notes("mark_refused")
 
 
+def test_a_phase_that_cannot_follow_is_refused() -> None:
+    gateway = ManualGateway(mark_from=["Nurse"])
+
+    def refused(line: bytes) -> list[str]:
+        outputs = gateway.from_peer(Message("STRING", "Nurse", String(line)))
+        return [note.text for note in outputs.notes("mark_refused")]
+
+    assert not refused(b"+needle")
+    assert refused(b"-other")[0].startswith("mark: found the end of 'other', expected a phase that is open")
+
+
 def _stamped(igtl_type: str, device: str, content: String | Command | Transform, seconds: float) -> Message:
     return Message(igtl_type, device, content, ns_to_ticks(START_NS + round(seconds * NS_PER_S)))
 
