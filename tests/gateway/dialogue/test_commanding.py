@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from igtl_gateway.config.configuration import Config
+from igtl_gateway.config.settings import MAX_TIMEOUT_S
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.gateway.dialogue.commanding import MAX_TIMEOUT_S
 from tests.script import Script
 from tests.tables import table
 
