@@ -20,7 +20,7 @@ RowStream = tuple[int, int, bytes]
 ChunkIndex = tuple[int, int, bytes, tuple[tuple[int, int, int], ...]]
 
 
-def index_messages(chunk: bytearray) -> ChunkIndex:
+def index_messages(chunk: bytearray | bytes) -> ChunkIndex:
     """The index of the records of a chunk; of the last one, the end may be missing."""
     found: dict[int, list[int]] = {}
     at, size = 0, len(chunk)

@@ -5,7 +5,7 @@ For output that must not depend on what this program and machine know, such as d
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
@@ -16,6 +16,7 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from igtl_gateway.base.errors import RecordingError
 from igtl_gateway.base.version import __version__
 from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.chunks import PackedChunk
 from igtl_gateway.record.sessionfile.compression import Compression
 from igtl_gateway.record.sessionfile.new_file import create_file, os_error_text
 from igtl_gateway.record.sessionfile.side_file import RecordingPart, topic_counts
@@ -46,8 +47,8 @@ class CopyWriter:
         self.path = path
         self._file = create_file(path)
         self._mcap = McapStream(self._file, compression=compression)
-        self._schemas: dict[int, int] = {0: 0}  # number there → number here
-        self._channels: dict[int, int] = {}
+        self._schemas: set[int] = set()  # numbers in both files
+        self._channels: set[int] = set()
         with self._disk_errors():
             self._mcap.start(profile, f"{library}; copied by igtl-gateway {__version__}".removeprefix("; "))
             for name in layout.SESSION_RECORDS if session else ():
@@ -76,12 +77,19 @@ class CopyWriter:
     def write(self, schema: Schema | None, channel: Channel, message: Message) -> None:
         """A message of a channel."""
         with self._disk_errors():
-            here = self._channels.get(channel.id)
-            if here is None:
-                here = self._channels[channel.id] = self._open_channel(schema, channel)
+            self._define(schema, channel)
             self._mcap.add_message(
-                here, message.log_time, b"", message.data, message.publish_time, message.sequence
-            )  # fmt: skip
+                channel.id, message.log_time, b"", message.data, message.publish_time, message.sequence
+            )
+
+    def write_chunk(
+        self, definitions: Iterable[tuple[Schema | None, Channel]], chunk: PackedChunk, data: bytes
+    ) -> None:
+        """All messages of a chunk, as it is; ``data`` are its records, ``definitions`` those of its messages."""
+        with self._disk_errors():
+            for schema, channel in definitions:
+                self._define(schema, channel)
+            self._mcap.copy_chunk(data, chunk.crc, chunk.compression, chunk.data)
 
     def close(self, ledger: dict[str, Any]) -> RecordingPart:
         """Write the ledger and the index; return what the side file of a split recording needs of this file."""
@@ -100,11 +108,17 @@ class CopyWriter:
             self._mcap.size,
         )
 
-    def _open_channel(self, schema: Schema | None, channel: Channel) -> int:
+    def _define(self, schema: Schema | None, channel: Channel) -> None:
+        """Register what is new, under the numbers of the other file."""
+        if channel.id in self._channels:
+            return
+        self._channels.add(channel.id)
         if schema and schema.id not in self._schemas:
-            self._schemas[schema.id] = self._mcap.register_schema(schema.name, schema.encoding, schema.data)
-        number = self._schemas[schema.id if schema else 0]
-        return self._mcap.register_channel(channel.topic, channel.message_encoding, number, channel.metadata)
+            self._schemas.add(schema.id)
+            self._mcap.register_schema(schema.name, schema.encoding, schema.data, schema.id)
+        self._mcap.register_channel(
+            channel.topic, channel.message_encoding, schema.id if schema else 0, channel.metadata, channel.id
+        )
 
     @contextmanager
     def _disk_errors(self) -> Iterator[None]:

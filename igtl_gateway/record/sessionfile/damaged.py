@@ -22,7 +22,7 @@ from mcap.records import Attachment
 from igtl_gateway.base.errors import LimitExceeded
 from igtl_gateway.base.untrusted import files, limits
 from igtl_gateway.record.sessionfile import records
-from igtl_gateway.record.sessionfile.chunks import check_chunk
+from igtl_gateway.record.sessionfile.chunks import PackedChunk, check_chunk
 from igtl_gateway.record.sessionfile.compression import NAMES, declared_size, decompress
 from igtl_gateway.record.sessionfile.contents import check_work
 from igtl_gateway.record.sessionfile.records import (
@@ -122,8 +122,8 @@ class DamagedFile:
         except Malformed:
             return None
 
-    def chunk(self, span: RecordSpan) -> bytes:
-        """The records in a chunk, one field of which may be damaged.
+    def chunk(self, span: RecordSpan) -> tuple[PackedChunk, bytes]:
+        """A chunk, one field of which may be damaged: with the right fields, and its records.
 
         Raises Malformed if its checksum fits nothing, LimitExceeded if it needs too much.
         """
@@ -145,11 +145,13 @@ class DamagedFile:
                     check_chunk(len(packed), unpacked, "chunk")
                     self._work += unpacked
                     check_work(self.size, self._work, str(self._path))
-                    return decompress(compression, packed, unpacked, crc)
+                    data = decompress(compression, packed, unpacked, crc)
                 except LimitExceeded as error:
                     too_large = too_large or error
+                    continue
                 except Malformed:
                     continue
+                return PackedChunk(f"chunk at offset {span.at:,}", compression, packed, unpacked, crc), data
         raise too_large or Malformed("its checksum is wrong")
 
     def chunk_times(self, span: RecordSpan) -> tuple[int, int]:

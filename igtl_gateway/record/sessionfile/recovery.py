@@ -1,6 +1,8 @@
 """Recovering a damaged recording: all that is readable, as a file that every reader opens, and the name of the rest.
 
 The new file is read again before anything is reported of it: by our reader, by the ``mcap`` library and by rosbags.
+A chunk of which every message is right is copied as it is; of a long whole recording, whose chunks all are, the two
+libraries read both ends, and our reader reads all of it and compares all indexes.
 What would make a reader refuse it is not copied but named as a loss: an entry whose time is out of order, metadata and
 attachments of another shape, a ledger of an earlier recovery that is too deep.
 """
@@ -12,6 +14,7 @@ from array import array
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryFile
 from types import MappingProxyType
@@ -28,7 +31,7 @@ from igtl_gateway.record.sessionfile.compression import Compression
 from igtl_gateway.record.sessionfile.copying import CopyWriter
 from igtl_gateway.record.sessionfile.merged import MERGE_METADATA, parse_merge
 from igtl_gateway.record.sessionfile.reader import SessionFile, prologue_of
-from igtl_gateway.record.sessionfile.salvage import HAS_SESSION, Salvage, Salvaged
+from igtl_gateway.record.sessionfile.salvage import HAS_SESSION, Salvage, Salvaged, SalvagedChunk
 from igtl_gateway.record.sessionfile.salvage_report import (
     ATTACHMENT,
     HEADER,
@@ -40,6 +43,9 @@ from igtl_gateway.record.sessionfile.salvage_report import (
 )
 from igtl_gateway.record.sessionfile.side_file import RecordingPart
 
+#: Messages that every reader reads again.  Of a whole recording with more, the chunks are copied as they are, so the
+#: libraries read all around them, and messages at the beginning and at the end; this program reads all.
+_READ_BY_ALL = 20_000
 #: Characters of a reason; a reader of the ledger must not meet the damage in it.
 _MAX_REASON = 300
 
@@ -123,9 +129,11 @@ def _attempt(
             losses = list(_copy_beside(file, writer))
             if not file.has_header:
                 losses.append(_loss(HEADER, "not readable: which program wrote the file"))
-            messages = _in_turn(file) if in_turn else _in_order(file, place.parent)
-            for schema, channel, message in messages:
-                writer.write(schema, channel, message)
+            for found in _in_turn(file) if in_turn else _in_order(file, place.parent):
+                if isinstance(found, SalvagedChunk):
+                    writer.write_chunk(found.definitions, found.chunk, found.data)
+                else:
+                    writer.write(*found)
                 progress(file)
             for loss in losses:
                 file.report.add(loss)
@@ -174,10 +182,16 @@ def _loss(what: str, text: str, at: int = 0) -> Loss:
 _Found = tuple[Schema | None, Channel, Message]
 
 
-def _in_turn(file: Salvage) -> Iterator[_Found]:
-    """The messages as they lie in the file.  Raises _Disorder for a session whose times decrease."""
+def _in_turn(file: Salvage) -> Iterator[_Found | SalvagedChunk]:
+    """The messages as they lie in the file, and whole chunks.  Raises _Disorder for a session whose times decrease."""
     last_ns = 0
-    for each in file.read():
+    for each in file.read_chunks():
+        if isinstance(each, SalvagedChunk):
+            if each.first_ns < last_ns and not file.foreign:
+                raise _Disorder
+            last_ns = each.last_ns
+            yield each
+            continue
         if each.message.log_time < last_ns and not file.foreign:
             raise _Disorder
         last_ns = each.message.log_time
@@ -294,14 +308,23 @@ def _check(place: Path, file: Salvage) -> Iterator[str]:
         again.prologue()
         for _ in again.attachments():
             pass
-        for _ in again.entries():
-            pass
-    count = 0
+        again.read_through()
+        damaged = again.damaged_indexes()
+        reads_all = not file.report.whole or file.report.messages <= _READ_BY_ALL
+        windows: list[tuple[int | None, int | None]] = [(None, None)] if reads_all else list(again.ends())
+    if damaged:
+        raise DamagedRecording(f"{file.path}: found damaged indexes of {damaged} chunks in the new file")
     try:
         with place.open("rb") as stream:
             reader = make_reader(stream)
-            for _ in reader.iter_messages():
-                count += 1
+            if reads_all:
+                count = sum(1 for _ in reader.iter_messages())
+            else:
+                for is_last in (False, True):
+                    for _ in islice(reader.iter_messages(reverse=is_last), _READ_BY_ALL // 2):
+                        pass
+                summary = reader.get_summary()
+                count = summary.statistics.message_count if summary and summary.statistics else 0
             for _ in (*reader.iter_metadata(), *reader.iter_attachments()):
                 pass
     except Exception as error:  # the library has no common class of errors
@@ -313,7 +336,8 @@ def _check(place: Path, file: Salvage) -> Iterator[str]:
     if place.suffix == ".mcap":
         try:
             with AnyReader([place]) as bag:
-                for _ in bag.messages():
-                    pass
+                for start_ns, end_ns in windows:
+                    for _ in bag.messages(start=start_ns, stop=end_ns):
+                        pass
         except Exception as error:  # nor has this one
             yield f"rosbags does not read it: {str(error)[:_MAX_REASON] or type(error).__name__}"

@@ -12,26 +12,30 @@ Memory is bounded by the largest chunk and the largest attachment.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, TypeVar
 
+import numpy as np
 from mcap.records import Attachment, Channel, Message, Metadata, Schema, Statistics
 
 from igtl_gateway.base.errors import DamagedRecording, LimitExceeded, UnsupportedRecording
 from igtl_gateway.base.untrusted import files, limits
 from igtl_gateway.base.untrusted.shape import digits
-from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile import facts, layout, migrations, records
 from igtl_gateway.record.sessionfile.channels import SEQUENCES, Decode, decoder, is_marked, kind_of
+from igtl_gateway.record.sessionfile.chunk_columns import Array, Columns, count_of, take
+from igtl_gateway.record.sessionfile.chunks import PackedChunk
+from igtl_gateway.record.sessionfile.columns import WireHeads, mask_of
 from igtl_gateway.record.sessionfile.compression import NAMES, Compression
 from igtl_gateway.record.sessionfile.contents import message_bound
 from igtl_gateway.record.sessionfile.damaged import DamagedFile, RecordSpan
 from igtl_gateway.record.sessionfile.index import not_mcap, read_summary
 from igtl_gateway.record.sessionfile.layout import LayoutError
-from igtl_gateway.record.sessionfile.records import MAGIC, MESSAGE_HEAD, Malformed
+from igtl_gateway.record.sessionfile.records import MAGIC, MESSAGE_HEAD, MESSAGE_RECORD, Malformed
 from igtl_gateway.record.sessionfile.salvage_report import (
     ATTACHMENT,
     BYTES,
@@ -64,9 +68,27 @@ class Salvaged:
 
 
 @dataclass(frozen=True, slots=True)
+class SalvagedChunk:
+    """A chunk of which every message is right, in order of time unless the file is of another program.
+
+    Attributes:
+        chunk, data: as it lies in the file, with the right fields, and its records.
+        definitions: of its messages.
+        first_ns, last_ns: times of its first and its last message.
+    """
+
+    chunk: PackedChunk
+    data: bytes
+    definitions: tuple[tuple[Schema | None, Channel], ...]
+    first_ns: int
+    last_ns: int
+
+
+@dataclass(frozen=True, slots=True)
 class _Definition:
     channel: Channel
     schema: Schema | None
+    kind: Kind | None
     decode: Decode | None
 
 
@@ -170,8 +192,18 @@ class Salvage:
 
     def read(self) -> Iterator[Salvaged]:
         """All messages that can be read, as they lie in the file; once.  Raises DamagedRecording as above."""
+        for each in self._read(whole_chunks=False):
+            if isinstance(each, Salvaged):
+                yield each
+
+    def read_chunks(self) -> Iterator[Salvaged | SalvagedChunk]:
+        """As :meth:`read`, but where a chunk is right as a whole, the chunk."""
+        return self._read(whole_chunks=True)
+
+    def _read(self, *, whole_chunks: bool) -> Iterator[Salvaged | SalvagedChunk]:
         try:
-            yield from _SalvagePass(self, self._file, self._statistics, len(self._attachments)).run()
+            attachments = len(self._attachments)
+            yield from _SalvagePass(self, self._file, self._statistics, attachments, whole_chunks=whole_chunks).run()
         except OSError as error:
             raise DamagedRecording(f"{self.path}: cannot be read: {error.strerror}") from None
 
@@ -185,6 +217,22 @@ class Salvage:
             channel = _parsed(records.parse_channel, content)
             if channel and (is_checked or channel.id not in self._channels):
                 self._channels[channel.id] = channel, is_checked
+
+    def knows(self, opcode: int, content: bytes) -> bool:
+        """Whether a record in a chunk defines what is known, under a checksum, as it is known.
+
+        Bytes behind its fields would be copied, too, and other readers may stumble over them.
+        """
+        try:
+            if opcode == records.SCHEMA:
+                schema = records.parse_schema(content)
+                known = self._schemas.get(schema.id) == (schema, True)
+                return known and content == records.pack(schema)[records.HEAD.size :]
+            channel = records.parse_channel(content)
+        except Malformed:
+            return False
+        known = opcode == records.CHANNEL and self._channels.get(channel.id) == (channel, True)
+        return known and content == records.pack(channel)[records.HEAD.size :]
 
     def definition(self, channel_id: int) -> _Definition | None:
         """Channel, schema and decoder of messages; None if no copy of the channel is left."""
@@ -200,7 +248,7 @@ class Salvage:
         schema, _ = self._schemas.get(channel.schema_id, (None, False))
         kind, _ = kind_of(channel, schema, self.foreign)
         decode = decoder(kind, channel.topic, schema.name) if kind and schema else None
-        self._definitions[channel_id] = _Definition(channel, schema, decode)
+        self._definitions[channel_id] = _Definition(channel, schema, kind, decode)
         return self._definitions[channel_id]
 
     # -- the survey -------------------------------------------------------------------------------------------
@@ -281,7 +329,7 @@ class Salvage:
             if span.opcode != records.CHUNK:
                 continue
             try:
-                data = self._file.chunk(span)
+                _, data = self._file.chunk(span)
                 for opcode, at, end in records.records(data, "chunk"):
                     self.define(opcode, data[at:end], is_checked=True)
             except (Malformed, LimitExceeded):
@@ -291,7 +339,17 @@ class Salvage:
 class _SalvagePass:
     """One pass over the messages."""
 
-    def __init__(self, salvage: Salvage, file: DamagedFile, statistics: Statistics | None, attachments: int) -> None:
+    def __init__(
+        self,
+        salvage: Salvage,
+        file: DamagedFile,
+        statistics: Statistics | None,
+        attachments: int,
+        *,
+        whole_chunks: bool,
+    ) -> None:
+        self._whole_chunks = whole_chunks
+        self._heads = WireHeads()
         self._salvage, self._file, self._statistics = salvage, file, statistics
         self._attachments = attachments  # found in the file
         self._report = salvage.report
@@ -300,7 +358,7 @@ class _SalvagePass:
         self._unknown_counts: dict[int, int] = {}
         self._seq = self._entries = self._seen = 0
 
-    def run(self) -> Iterator[Salvaged]:
+    def run(self) -> Iterator[Salvaged | SalvagedChunk]:
         file, report = self._file, self._report
         torn: RecordSpan | None = None
         for span in file.walk():
@@ -320,11 +378,14 @@ class _SalvagePass:
                 self._lose(METADATA, span, damage)
         self._end(torn)
 
-    def _read_chunk(self, span: RecordSpan) -> Iterator[Salvaged]:
+    def _read_chunk(self, span: RecordSpan) -> Iterator[Salvaged | SalvagedChunk]:
         try:
-            data = self._file.chunk(span)
+            chunk, data = self._file.chunk(span)
         except (Malformed, LimitExceeded) as error:
             self._lose(CHUNK, span, str(error))
+            return
+        if self._whole_chunks and (whole := self._whole(chunk, data)):
+            yield whole
             return
         try:
             for opcode, at, end in records.records(data, "chunk"):
@@ -334,6 +395,76 @@ class _SalvagePass:
                     yield from self._message(data[at:end], span)
         except Malformed as error:
             self._lose(CHUNK, span, str(error))
+
+    def _whole(self, chunk: PackedChunk, data: bytes) -> SalvagedChunk | None:
+        """A chunk of which every message is right; None, and nothing is counted, where one may not be."""
+        salvage, report = self._salvage, self._report
+        count, in_order, end, _ = count_of(data)
+        if end < len(data) or not count or not (in_order or salvage.foreign):
+            return None
+        found = Columns.empty(count)
+        take(data, 0, *found)
+        if not self._has_known_definitions(data, found):
+            return None
+        numbered, firsts = np.unique(found.channels, return_index=True)
+        # in the order of their first messages
+        definitions = {number: salvage.definition(number) for number in numbered[np.argsort(firsts)].tolist()}
+        known = {number: each for number, each in definitions.items() if each}
+        entries = found.where(mask_of(found.channels, {number for number, each in known.items() if each.decode}))
+        numbers = self._numbers(entries)
+        if len(known) < len(definitions) or numbers is None or not self._decode(data, entries, known):
+            return None
+        self._seen += count
+        limits.check_limit("count", self._seen, f"{salvage.path}: messages", message_bound(report.size))
+        if len(numbers):
+            self._close_losses(int(entries.times[0]), int(numbers[0]) - self._seq - 1)
+            self._seq = int(numbers[-1])
+            self._entries += len(numbers)
+        first, last = int(found.times.min()), int(found.times.max())
+        report.start_ns = min(report.start_ns, first) if report.messages else first
+        report.end_ns = max(report.end_ns, last)
+        report.messages += count
+        pairs = tuple((each.schema, each.channel) for each in known.values())
+        return SalvagedChunk(chunk, data, pairs, int(found.times[0]), int(found.times[-1]))
+
+    def _has_known_definitions(self, data: bytes, found: Columns) -> bool:
+        """Whether the records between the messages are definitions that are known."""
+        begins = np.append(found.begins - MESSAGE_RECORD.size, len(data))
+        ends = np.concatenate((np.zeros(1, np.int64), found.ends))
+        gaps = np.flatnonzero(begins > ends)
+        return all(
+            self._salvage.knows(opcode, between[at:end])
+            for gap in gaps.tolist()
+            for between in [data[ends[gap] : begins[gap]]]
+            for opcode, at, end in records.records(between, "chunk")
+        )
+
+    def _numbers(self, entries: Columns) -> Array | None:
+        """Numbers of entries; None if one is not right."""
+        if self._salvage.foreign:
+            return self._entries + 1 + np.arange(len(entries.times))
+        after = entries.sequences.astype(np.int64)
+        before = np.concatenate((np.array([self._seq % SEQUENCES]), after[:-1])) if len(after) else after
+        steps = (after - before) % SEQUENCES
+        checked = steps if self._seq else steps[1:]
+        if (steps == 0).any() or (checked >= SEQUENCES // 2).any():
+            return None
+        return self._seq + np.cumsum(steps)
+
+    def _decode(self, data: bytes, entries: Columns, known: Mapping[int, _Definition]) -> bool:
+        """Whether all entries can be decoded; those of ROS always can."""
+        kinds = {number: each.kind for number, each in known.items()}
+        wire = entries.where(mask_of(entries.channels, {n for n, kind in kinds.items() if kind in layout.WIRE_TOPICS}))
+        if self._heads.unwrap(data, wire.channels, wire.begins, wire.ends)[3]:
+            return False
+        notes = entries.where(mask_of(entries.channels, {n for n, kind in kinds.items() if kind in layout.NOTE_KINDS}))
+        try:
+            for number, *rest in zip(*(column.tolist() for column in notes), strict=True):
+                if decode := known[number].decode:
+                    decode((number, *rest, data), 0)
+        except LayoutError:
+            return False
+        return True
 
     def _message(self, content: bytes, span: RecordSpan) -> Iterator[Salvaged]:
         if len(content) < MESSAGE_HEAD.size:

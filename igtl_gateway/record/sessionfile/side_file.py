@@ -46,8 +46,9 @@ def topic_counts(mcap: McapStream) -> list[TopicCount]:
     """Messages of a finished file by topic and type; channels of one topic together."""
     found: dict[tuple[str, str], TopicCount] = {}
     counts = mcap.statistics().channel_message_counts
+    names = {schema.id: schema.name for schema in mcap.schemas}
     for channel in mcap.channels:
-        key = (channel.topic, mcap.schemas[channel.schema_id - 1].name if channel.schema_id else "")
+        key = (channel.topic, names.get(channel.schema_id, ""))
         if key not in found:
             qos = layout.parse_qos_yaml(channel.metadata.get(layout.QOS_KEY, ""))
             type_hash = channel.metadata.get(layout.TYPE_HASH_KEY, "")

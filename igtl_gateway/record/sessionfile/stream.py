@@ -31,7 +31,7 @@ from mcap.records import (
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.record.sessionfile import records
-from igtl_gateway.record.sessionfile.chunk_rows import RowStream, add_rows, index_messages
+from igtl_gateway.record.sessionfile.chunk_rows import ChunkIndex, RowStream, add_rows, index_messages
 from igtl_gateway.record.sessionfile.compression import NAMES, Compression, compress
 from igtl_gateway.record.sessionfile.file_end import pack_summary
 from igtl_gateway.record.sessionfile.layout import CHUNK_BYTES, SEAL_METADATA
@@ -109,16 +109,18 @@ class McapStream:
         )  # fmt: skip
         self._put_record(records.ATTACHMENT, record)
 
-    def register_schema(self, name: str, encoding: str, text: bytes) -> int:
-        """A schema, in the chunk and between the chunks; returns its number."""
-        schema = Schema(id=len(self.schemas) + 1, data=text, encoding=encoding, name=name)
+    def register_schema(self, name: str, encoding: str, text: bytes, number: int | None = None) -> int:
+        """A schema, in the chunk and between the chunks; returns its number, which is the next one unless given."""
+        schema = Schema(id=number or len(self.schemas) + 1, data=text, encoding=encoding, name=name)
         self.schemas.append(schema)
         self._define(records.SCHEMA, schema)
         return schema.id
 
-    def register_channel(self, topic: str, encoding: str, schema: int, metadata: dict[str, str]) -> int:
-        """A channel, in the chunk and between the chunks; returns its number, from 1.  ``schema`` 0: it has none."""
-        number = len(self.channels) + 1
+    def register_channel(
+        self, topic: str, encoding: str, schema: int, metadata: dict[str, str], number: int | None = None
+    ) -> int:
+        """A channel, as register_schema.  ``schema`` 0: it has none."""
+        number = len(self.channels) + 1 if number is None else number
         channel = Channel(id=number, topic=topic, message_encoding=encoding, schema_id=schema, metadata=metadata)
         self.channels.append(channel)
         self._define(records.CHANNEL, channel)
@@ -236,6 +238,34 @@ class McapStream:
         if rest:
             crc = crc32(rest, crc)
         name, parts = self._compressed(channel, rest, size)
+        self._put_chunk((first, last, index, rows), size, crc, name, parts, numbers)
+        self._chunk.clear()
+
+    def copy_chunk(self, data: bytes, crc: int, name: str, packed: bytes) -> None:
+        """A chunk of another file as it is, behind those before it.
+
+        Its schemas and channels have to be registered under their numbers.
+
+        Args:
+            data, crc: its records, and their checksum or 0.
+            name, packed: of the compression, and what it makes of them.
+        """
+        self._end_chunk()
+        found = index_messages(data)
+        if found[3]:
+            self._put_chunk(found, len(data), crc or crc32(data), name, [packed])
+
+    def _put_chunk(
+        self,
+        found: ChunkIndex,
+        size: int,
+        crc: int,
+        name: str,
+        parts: Sequence[Buffer],
+        numbers: tuple[int, int] = (-1, -1),
+    ) -> None:
+        """Write a chunk, whose compressed data are the parts, and its indexes."""
+        first, last, index, rows = found
         packed = sum(map(len, parts))
         begin = self.size
         self._put(records.pack_chunk_head(first, last, size, crc, name, packed))
@@ -254,7 +284,6 @@ class McapStream:
         self._first = min(self._first, first) if self._chunk_count else first
         self._last = max(self._last, last)
         self._chunk_count += 1
-        self._chunk.clear()
 
     def _compressed(self, channel: int, rest: Buffer, size: int) -> tuple[str, Sequence[Buffer]]:
         """The name of the compression of the chunk, and the parts that are to be written."""

@@ -41,7 +41,7 @@ def test_a_sound_file() -> None:
     one, two = (span for span in SOUND if span.opcode == records.CHUNK)
     assert (file.chunk_compression(one), file.chunk_compression(two)) == ("", "zstd")
     assert (file.chunk_times(one), file.chunk_times(two)) == ((5, 6), (7, 9))
-    assert [opcode for opcode, _, _ in records.records(file.chunk(two), "")] == [records.MESSAGE] * 2
+    assert [opcode for opcode, _, _ in records.records(file.chunk(two)[1], "")] == [records.MESSAGE] * 2
     attachment = next(span for span in SOUND if span.opcode == records.ATTACHMENT)
     found = file.attachment(attachment)
     assert found and found.data == b"abc"

@@ -16,7 +16,7 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from igtl_gateway.base.errors import LimitExceeded
+from igtl_gateway.base.errors import GatewayError, LimitExceeded
 from igtl_gateway.base.untrusted.limits import limits_in_force, parse_limits
 from igtl_gateway.cli import main
 from igtl_gateway.config.configuration import Config
@@ -24,7 +24,10 @@ from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.sessionfile import layout, recovery
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.recovery import recover
+from igtl_gateway.record.sessionfile.salvage import Salvage
+from igtl_gateway.record.sessionfile.stream import McapStream
 from igtl_gateway.record.sessionfile.writer import SessionWriter
+from tests.places import FIXTURES
 from tests.record import samples
 from tests.tables import table
 from tools import mcap_build as build
@@ -247,3 +250,88 @@ def test_random_times(tmp_path: Path, seed: int) -> None:
     found, out = _recovered(tmp_path, _session({}, entries))
     with SessionFile.open(out) as file:
         assert file.entry_count + len(found.report.lost) + found.report.more_lost == len(entries)
+
+
+# -- whole chunks -----------------------------------------------------------------------------------------------------
+
+
+def _outcome(source: Path, place: Path) -> object:
+    """The report, and all messages of the new file with their topics; or the refusal."""
+    place.unlink(missing_ok=True)
+    try:
+        found = recovery.recover(source, place)
+    except GatewayError as error:
+        return type(error), str(error)
+    with SessionFile.open(place) as file:
+        messages = [(schema, channel, row[1:4], row[6][row[4] : row[5]]) for schema, channel, row in file.messages()]
+        entries = [(entry.seq, entry.stamp_ns, entry.kind, entry.channel, entry.data()) for entry in file.entries()]
+        beside = [*file.beside(), *file.attachments()]
+    return found.facts, found.report, found.part.topics, found.notes, messages, entries, beside
+
+
+def _both(source: Path, place: Path) -> tuple[object, object]:
+    """With chunks that are copied as they are, and message by message."""
+    whole = _outcome(source, place)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Salvage, "read_chunks", Salvage.read)
+        return whole, _outcome(source, place)
+
+
+@pytest.mark.parametrize("name", ["star", "every-type", "lego"])
+def test_chunks_are_copied_as_they_are(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    copied: list[int] = []
+    original = McapStream.copy_chunk
+
+    def counted(self: McapStream, data: bytes, crc: int, compression: str, packed: bytes) -> None:
+        copied.append(len(packed))
+        original(self, data, crc, compression, packed)
+
+    monkeypatch.setattr(McapStream, "copy_chunk", counted)
+    one, other = _both(FIXTURES / f"{name}.mcap", tmp_path / "new.mcap")
+    assert one == other
+    with SessionFile.open(FIXTURES / f"{name}.mcap") as file:
+        assert len(copied) == len(file._index.chunks)
+
+
+@pytest.mark.slow
+def test_mutants_are_recovered_alike_with_whole_chunks(tmp_path: Path) -> None:
+    for name, data in islice(mcap_mutations.cases(53), 100):
+        (tmp_path / "a.mcap").write_bytes(data)
+        one, other = _both(tmp_path / "a.mcap", tmp_path / "new.mcap")
+        assert one == other, name
+
+
+def test_a_chunk_whose_definitions_are_others_is_not_copied(tmp_path: Path) -> None:
+    """The same bytes would bring another definition of a channel into the new file."""
+    topics = ("/a", "/b")
+    chunks = [
+        Chunk((
+            (build.SCHEMA, build.schema(1, "std_msgs/msg/String", "ros2msg", b"string data")),
+            (build.CHANNEL, build.channel(1, 1, topic, "cdr", {})),
+            (build.MESSAGE, build.message(1, 1, at, at, samples.string_cdr("x"))),
+        ))
+        for at, topic in enumerate(topics, 5)
+    ]  # fmt: skip
+    (tmp_path / "a.mcap").write_bytes(build.assemble([(build.HEADER, build.header()), *chunks]).finish())
+    one, other = _both(tmp_path / "a.mcap", tmp_path / "new.mcap")
+    assert one == other
+
+
+@pytest.mark.parametrize("most", [0, 10**6])
+def test_the_libraries_read_the_ends_of_a_long_whole_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most: int
+) -> None:
+    monkeypatch.setattr(recovery, "_READ_BY_ALL", most)
+    seen: list[tuple[object, object]] = []
+    original = AnyReader.messages
+
+    def messages(self: AnyReader, connections: tuple[()] = (), start: object = None, stop: object = None) -> Any:
+        seen.append((start, stop))
+        return original(self, connections, start, stop)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(AnyReader, "messages", messages)
+    recovery.recover(FIXTURES / "star.mcap", tmp_path / "a.mcap")
+    with SessionFile.open(FIXTURES / "star.mcap") as file:
+        first, last = file._index.chunks[0], file._index.chunks[-1]
+        ends = [(first.start_ns, first.end_ns + 1), (last.start_ns, last.end_ns + 1)]
+    assert seen == ([(None, None)] if most else ends)
