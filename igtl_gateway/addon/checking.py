@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from igtl_gateway.addon.loading import Homes, at_first_use
 
 if TYPE_CHECKING:
-    from igtl_gateway.app.content_summary import ContentSummary as ContentSummary
     from igtl_gateway.app.linting import observe as observe_entries
     from igtl_gateway.app.sealing import SealVerification as SealVerification
     from igtl_gateway.app.sealing import verify_seal as verify_seal
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from igtl_gateway.replay.compare import Undecodable as Undecodable
     from igtl_gateway.replay.compare import compare_values as compare_values
     from igtl_gateway.replay.compare import first_byte as first_byte
+    from igtl_gateway.replay.content_summary import ContentSummary as ContentSummary
     from igtl_gateway.replay.diff import DiffInput as DiffInput
     from igtl_gateway.replay.diff import StreamDiff as StreamDiff
     from igtl_gateway.replay.diff import diff as diff
@@ -49,7 +49,7 @@ HOMES: Homes = (
     ("doctor.report", "DoctorReport"),
     ("doctor.rules", "RULES"),
     ("app.linting", "observe_entries=observe"),
-    ("app.content_summary", "ContentSummary"),
+    ("replay.content_summary", "ContentSummary"),
     ("gateway.log.ledger", "ledger_gaps=gaps"),
 )
 

@@ -9,7 +9,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.app.content_summary import ContentSummary, StreamSummary
 from igtl_gateway.base.errors import BeingRecorded, ConfigError, DamagedRecording, GatewayError, LimitExceeded
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.numbers import whole_number
@@ -33,6 +32,8 @@ from igtl_gateway.record.sessionfile.index import recover_hint
 from igtl_gateway.record.sessionfile.reader import PartSummary, SessionFile
 from igtl_gateway.record.sessionfile.salvage import Salvage
 from igtl_gateway.record.sessionfile.seals import stated_seals
+from igtl_gateway.replay.content_columns import content_of
+from igtl_gateway.replay.content_summary import ContentSummary, StreamSummary
 from igtl_gateway.replay.recorded_config import peer_units
 from igtl_gateway.replay.recorded_marks import marks_of
 
@@ -50,7 +51,7 @@ def _run(options: argparse.Namespace, recording: Recording) -> int:
     place = recording.place
     try:
         with SessionFile.open(place, incomplete=True) as file:
-            content = ContentSummary.of(file.entries(), whole_number(file.session.get("slice_start_ns")) or 0)
+            content = content_of(file, whole_number(file.session.get("slice_start_ns")) or 0)
             summary = _facts(place, file, content, file.start_ns, file.end_ns) | {"file": str(options.file)}
             summary["bytes"] = file.size
             summary["damaged_indexes"] = file.damaged_indexes()

@@ -9,9 +9,15 @@ Pure: stamps and arrivals are arguments, in UTC nanoseconds.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    Numbers = npt.NDArray[np.int64]
 
 #: Steps that clocks and programs round to, coarsest first.
 _STEPS = (NS_PER_S, 100 * NS_PER_MS, 10 * NS_PER_MS, NS_PER_MS)
@@ -104,6 +110,52 @@ class StampTiming:
         self.least_ns, self.most_ns = min(self.least_ns, age), max(self.most_ns, age)
         self._block_least_ns = min(self._block_least_ns, age)
         self._excess_ns += age - self._block_least_ns
+
+    def add_columns(self, stamps: Numbers, arrivals: Numbers) -> None:
+        """As `add`, of messages whose arrivals do not decrease, at least one."""
+        import numpy as np  # here: live messages come one at a time
+
+        self.messages += len(stamps)
+        before = np.concatenate((arrivals[:1], arrivals[:-1]))
+        before[0] = self._arrived_ns
+        pauses = np.flatnonzero((arrivals - before >= PAUSE_NS) & (before != 0))
+        if len(pauses):
+            end = int(arrivals[pauses[-1]])
+            self.pause = end, end - int(before[pauses[-1]])
+        self._arrived_ns = int(arrivals[-1])
+        is_set = stamps > 0
+        self.unset += len(stamps) - int(is_set.sum())
+        stamps, arrivals = stamps[is_set], arrivals[is_set]
+        if not len(stamps):
+            return
+        ages = arrivals - stamps
+        self.future += int((ages < -FUTURE_NS).sum())
+        if self._steps:
+            rests = ((step, stamps % step) for step in self._steps)
+            self._steps = tuple(step for step, rest in rests if (np.minimum(rest, step - rest) <= _ON_STEP_NS).all())
+        before = np.concatenate((stamps[:1], stamps[:-1]))
+        before[0] = self._previous_ns
+        self.repeated += int((stamps == before).sum())
+        self.backwards += int((stamps < before).sum())
+        if not self._previous_ns:
+            self.least_ns = self.most_ns = self._block_least_ns = int(ages[0])
+            self._block_end_ns = int(arrivals[0]) + _BLOCK_NS
+        self._previous_ns = int(stamps[-1])
+        self.least_ns, self.most_ns = min(self.least_ns, int(ages.min())), max(self.most_ns, int(ages.max()))
+        begin = 0
+        while begin < len(ages):
+            end = max(begin, int(np.searchsorted(arrivals, self._block_end_ns)))
+            if end > begin:
+                least = np.minimum.accumulate(np.minimum(ages[begin:end], self._block_least_ns))
+                excess = ages[begin:end] - least
+                is_small = int(excess.max()) < (1 << 62) // len(excess)
+                self._excess_ns += int(excess.sum()) if is_small else sum(excess.tolist())
+                self._block_least_ns = int(least[-1])
+            if end < len(ages):
+                self._last = (self._block_end_ns, self._block_least_ns)
+                self._first = self._first or self._last
+                self._block_least_ns, self._block_end_ns = int(ages[end]), int(arrivals[end]) + _BLOCK_NS
+            begin = end
 
     def reset(self) -> None:
         """Our own clock was set: what is known of the other one is known no more; counts stay."""

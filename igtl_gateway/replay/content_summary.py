@@ -5,13 +5,19 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.clocksteps import ClockStep, without_jump
 from igtl_gateway.gateway.log.entry import MESSAGES, Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.log.timing import StampTiming, best
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    Numbers = npt.NDArray[np.int64]
 
 #: A gap is a pause of more than this number of mean intervals, and of more than a second.
 _GAP_FACTOR = 10
@@ -60,6 +66,24 @@ class StreamSummary:
                 self.unstamped += 1
             elif len(self.ages_ns) < _MAX_AGES:
                 self.ages_ns.append(entry.stamp_ns - ahead_ns - entry.source_ns)
+
+    def add_columns(self, times: Numbers, sizes: Numbers, sources: Numbers, ahead_ns: int, begin_ns: int) -> None:
+        """As `add`, of messages in order, at least one, without their links; those before ``begin_ns`` restore."""
+        timed = times[times >= begin_ns] if begin_ns else times
+        if len(timed):
+            if not self._timed:
+                self.first_ns = self.last_ns = int(timed[0])
+            pauses = [int(timed[0]) - self.last_ns, int((timed[1:] - timed[:-1]).max(initial=0))]
+            self.longest_pause_ns = max(self.longest_pause_ns, *pauses)
+            self.last_ns = int(timed[-1])
+        self.restores += len(times) - len(timed)
+        self.messages += len(times)
+        self.bytes += int(sizes.sum())
+        if self.kind.is_input:
+            stamped = sources != 0
+            self.unstamped += len(times) - int(stamped.sum())
+            if (room := _MAX_AGES - len(self.ages_ns)) > 0:
+                self.ages_ns += (times[stamped][:room] - ahead_ns - sources[stamped][:room]).tolist()
 
     def _add_time(self, stamp_ns: int) -> None:
         if self._timed:
