@@ -291,12 +291,15 @@ def _digest(path: Path) -> str:
 
 
 def tests_of(mutant: Mutant, known: dict[str, Any]) -> list[str]:
-    """The tests that run the line of a mutant; of a line that runs at import, those that run any line of the module."""
+    """The tests that run the line of a mutant; of a line that runs at import, those of the module."""
     part = known[mutant.folder]
     lines = part["lines"].get(mutant.path, {})
     is_same = part["sources"].get(mutant.path) == _digest(ROOT / PACKAGE / mutant.path)
-    ids = set(lines.get(str(mutant.line), ()) if is_same else ()) or {one for each in lines.values() for one in each}
     own = mirrored(mutant.path)
+    ids = set(lines.get(str(mutant.line), ()) if is_same else ())
+    if not ids:  # those of the mirrored file may look at constants only
+        ids = {one for each in lines.values() for one in each}
+        ids |= {one for one in part["seconds"] if one.partition("::")[0] == own}
     chosen, total = list[str](), 0.0
     for one in sorted(ids, key=lambda each: (not each.startswith(own), part["seconds"][each])):
         total += part["seconds"][one]
