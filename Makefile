@@ -7,6 +7,7 @@ PARALLEL := -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker
 # The folders whose branches `make coverage` holds to a floor, in per cent.
 COVERED := igtl_gateway/gateway/*,igtl_gateway/convert/*,igtl_gateway/record/sessionfile/*
 FLOOR := 98
+MINUTES := 10
 
 # $(call beside_types,COMMAND): mypy, which takes a minute on one core, in the time in which the tests wait.
 beside_types = nice $(MYPY) & types=$$!; ($(1)); tests=$$?; wait $$types && exit $$tests
@@ -103,9 +104,9 @@ coverage: $(READY) peers
 	@$(BIN)/coverage report
 	@$(BIN)/coverage report --include "$(COVERED)" --fail-under $(FLOOR)
 
-# The gate has the kernel alone, with fewer rounds (tests/native/test_kernel.py).
+# The gate has its kernel and foreign bytes with fewer rounds (tests/native).  MINUTES: of fuzzing.
 sanitize: $(READY)
-	@$(BIN)/python tools/sanitize.py
+	@$(BIN)/python tools/sanitize.py --minutes $(MINUTES)
 
 # Each Python has an environment of its own in out/core.
 core: $(READY)

@@ -11,18 +11,24 @@
 static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, "_passage", "See igtl_gateway.native.passage.", -1, NULL,
                                         NULL, NULL, NULL, NULL};
 
+/* Make a class of the module; 0: an exception is set. */
+static int add_type(PyObject *module, PyType_Spec *spec, PyTypeObject **type)
+{
+    *type = (PyTypeObject *)PyType_FromSpec(spec);
+    return *type && !PyModule_AddType(module, *type);
+}
+
 PyMODINIT_FUNC PyInit__passage(void)
 {
     begin_bytes();
     begin_bulk(1);
-    if (begin_take())
+    if (begin_owned())
         return NULL;
     PyObject *module = PyModule_Create(&definition);
-    PyTypeObject *types[] = {&Lock_Type,         &Passage_Type,   &Link_Type,  &Subscription_Type,
-                             &Publisher_Type, &Stream_Type, &Guard_Type};
-    const char *names[] = {"Lock", "Passage", "Link", "Subscription", "Publisher", "Stream", "Guard"};
-    for (size_t i = 0; module && i < sizeof types / sizeof *types; i++)
-        if (PyType_Ready(types[i]) || PyModule_AddObjectRef(module, names[i], (PyObject *)types[i]))
-            Py_CLEAR(module);
+    if (module && !(add_type(module, &lock_spec, &Lock_Type) && add_type(module, &passage_spec, &Passage_Type) &&
+                    add_type(module, &link_spec, &Link_Type) && add_type(module, &subscription_spec, &Subscription_Type) &&
+                    add_type(module, &publisher_spec, &Publisher_Type) && add_type(module, &stream_spec, &Stream_Type) &&
+                    add_type(module, &guard_spec, &Guard_Type)))
+        Py_CLEAR(module);
     return module;
 }

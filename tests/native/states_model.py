@@ -218,7 +218,7 @@ class SubscriptionModel:
                     yield replace(self._moved(one, "IDLE"), turn=NEXT)
             case "python takes":
                 if one.has_failed:
-                    yield replace(self._moved(one, "IDLE"), has_failed=False, turn=NEXT)
+                    yield self._raised(one)
                 elif one.taken < AT_MOST:
                     yield replace(self._moved(one, "PASSING"), turn=LOOKS + FOR_PYTHON)
                 else:
@@ -228,14 +228,21 @@ class SubscriptionModel:
         """What `subscription_take` makes of a message that has not passed, a large one that has, or a failure."""
         one = self._moved(one, "WITH_PYTHON")
         if code == "failed":
-            return replace(self._moved(one, "IDLE"), has_failed=False, turn=NEXT)
+            return self._raised(one)
         handed = one if code == "large" else self._handed(one)
         return replace(handed, turn=PYTHON_TAKES, taken=one.taken + 1)
+
+    def _raised(self, one: Sub) -> Sub:
+        """Python has the failure: the lock `state`, then that of events."""
+        waits = one.is_pending and not self._forgets
+        one = self._moved(one, "WAITS" if waits else "IDLE")
+        return replace(one, has_failed=False, turn=NEXT, is_in_line=one.is_in_line or waits)
 
     def check(self, one: Sub, at_rest: bool) -> None:
         takers = sum(there in (LOOKS, TAKES, ENDS) for there in one.threads) + (one.turn != NEXT)
         assert takers <= 1, f"two threads take: {one}"
         assert one.passed == tuple(range(1, len(one.passed) + 1)), f"out of order, or twice: {one}"
+        assert not (at_rest and one.is_pending), f"left behind, after a report: {one}"
         if at_rest and not one.failures:
             assert (one.waiting, one.holds, one.taker, one.held) == ((), "EMPTY", "IDLE", 0), f"left behind: {one}"
 

@@ -18,6 +18,7 @@ FLAGS = ("-g", "-O1", "-std=gnu11", "-ffp-contract=off", "-Wall", "-Wextra", "-W
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
 #: Rounds of foreign bytes; `make sanitize` has more.
 ROUNDS = os.environ.get("KERNEL_ROUNDS", "20000")
+SEED = os.environ.get("SEED", "1")
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +40,21 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return target
 
 
+def test_the_program_has_the_whole_kernel(program: Path) -> None:
+    """What a header of the kernel includes is tested with it: here each is a part of the program."""
+    words = [
+        shlex.split(sysconfig.get_config_var("CC") or "cc")[0],
+        "-MM",
+        f"-I{PACKAGE / 'native' / 'kernel'}",
+        SOURCE,
+    ]
+    included = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    assert {path.name for path in (PACKAGE / "native" / "kernel").glob("*.h")} <= {
+        Path(word).name for word in included.split()
+    }
+
+
 def test_the_kernel_by_itself(program: Path) -> None:
-    run = subprocess.run([program, ROUNDS], capture_output=True, text=True, check=False)
+    run = subprocess.run([program, ROUNDS, SEED], capture_output=True, text=True, check=False)
     assert (run.returncode, run.stderr) == (0, ""), run.stdout
     assert run.stdout.endswith(" 0 failures\n")

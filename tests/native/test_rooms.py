@@ -12,6 +12,7 @@ import pytest
 
 from tests.places import PACKAGE, ROOT
 from tests.tables import table
+from tools import sanitize
 
 NATIVE = PACKAGE / "native"
 FILES = {path.relative_to(NATIVE).as_posix(): path.read_text("utf-8") for path in sorted(NATIVE.rglob("_*.[ch]"))}
@@ -84,6 +85,11 @@ def test_a_header_of_the_kernel_compiles_alone_without_a_warning(name: str, comp
     except OSError:
         pytest.skip("no C compiler")
     assert (run.returncode, run.stderr) == (0, "")
+
+
+def test_each_module_has_tests_under_the_sanitizers() -> None:
+    assert sanitize.doors() == sorted(sanitize.TESTS)
+    assert [test for tests in sanitize.TESTS.values() for test in tests if not (ROOT / test).exists()] == []
 
 
 @table("source", [path.relative_to(PACKAGE).as_posix() for path in sorted(PACKAGE.rglob("_*.c"))])

@@ -56,8 +56,9 @@ def test_every_order_of_steps_of_a_subscription(failures: int) -> None:
         assert found.used == Tables.rows(found.taker, found.holds), "a row of STATES.md that no thread uses"
 
 
-def test_the_search_finds_a_message_that_is_left_behind() -> None:
-    model = SubscriptionModel(tables(), 0, forgets=True)
+@pytest.mark.parametrize("failures", [0, 1])
+def test_the_search_finds_a_message_that_is_left_behind(failures: int) -> None:
+    model = SubscriptionModel(tables(), failures, forgets=True)
     with pytest.raises(AssertionError, match="left behind"):
         search(Sub(coming=3), model.steps, model.check)
 

@@ -6,10 +6,10 @@
 #include "_to_ros.h"
 #include "_unfilled.h"
 
-/* Give a large message, whose outputs are made, its number and its places in the recorder's queue; 0: Python's.
+/* Give a large message, whose outputs are made, its number, its stamps and its places in the recorder's queue; 0: Python's.
  * ``data``: at least its header.  The caller has the sequence lock. */
 static int admit_to_ros(Link *self, Stream *stream, const uint8_t *data, const struct chosen *chosen, struct kept *kept,
-                        int64_t *shown_ns, uint8_t **slots)
+                        uint8_t **slots)
 {
     Passage *passage = self->passage;
     ssize_t size = (ssize_t)kept->message.length;
@@ -19,16 +19,18 @@ static int admit_to_ros(Link *self, Stream *stream, const uint8_t *data, const s
     for (int i = 0; i < chosen->count; i++)
         if (chosen->outputs[i]->publisher->by_python)
             return 0;
-    *shown_ns = stream->own && source_ns > 0 ? source_ns : stamp_ns;
+    int64_t shown_ns = stream->own && source_ns > 0 ? source_ns : stamp_ns;
     if (!begin_record(passage, stream, chosen->outputs, chosen->count, size + chosen->bytes, size + chosen->bytes))
         return 0;
-    if (!passes_guard(stream->guard, stamp_ns, *shown_ns, NULL)) {
+    if (!passes_guard(stream->guard, stamp_ns, shown_ns, NULL)) {
         end_record(passage);
         return 0;
     }
     uint64_t seq = take_numbers(passage, chosen->count, now_ns, stamp_ns);
+    for (int i = 0; i < chosen->count; i++)
+        put_stamps(&chosen->forms[i], shown_ns); /* the last that changes of it: others may read it from here on */
     move_kept(kept, ADMITTED);
-    reserve(passage, stream, chosen->outputs, chosen->sizes, chosen->count, seq, stamp_ns, source_ns, *shown_ns, size, slots);
+    reserve(passage, stream, chosen->outputs, chosen->sizes, chosen->count, seq, stamp_ns, source_ns, shown_ns, size, slots);
     count_to_ros(passage, stream, chosen);
     if (stream->keeps) {
         set_latest(stream, seq, stamp_ns, source_ns, kept);
@@ -45,7 +47,7 @@ static int pass_large_to_ros(Link *self, Stream *stream, struct kept *kept, int 
     uint8_t *data = kept->message.buffer;
     ssize_t size = (ssize_t)kept->message.length;
     struct igtl_bulk bulk = stream->bulk_from_igtl;
-    int64_t begun_ns = clock_ns(CLOCK_MONOTONIC), shown_ns;
+    int64_t begun_ns = clock_ns(CLOCK_MONOTONIC);
     struct chosen chosen;
     if (!stream->is_bulk || !bulk_from_igtl_fits(&stream->bulk_from_igtl, data, size) ||
         !choose_outputs(passage, stream, data, size, most, &chosen) || !chosen.wanted || chosen.bytes > most)
@@ -67,14 +69,12 @@ static int pass_large_to_ros(Link *self, Stream *stream, struct kept *kept, int 
     if (passes) {
         wait_for_sequence(passage);
         locked_ns = clock_ns(CLOCK_MONOTONIC);
-        passes = admit_to_ros(self, stream, stays ? made : data, &chosen, kept, &shown_ns, slots);
+        passes = admit_to_ros(self, stream, stays ? made : data, &chosen, kept, slots);
         unlock_sequence(passage);
     }
     if (passes) {
-        for (int i = 0; i < chosen.count; i++) {
-            put_stamps(&chosen.forms[i], shown_ns);
+        for (int i = 0; i < chosen.count; i++)
             publish_output(passage, &chosen, i, chosen.forms[i].out);
-        }
         *unfilled = (struct unfilled){.direction = TO_ROS, .passed_ns = clock_ns(CLOCK_MONOTONIC)};
         const struct iovec input[2] = {{stays ? made : data, (size_t)bulk.at}, {data + bulk.at, (size_t)(size - bulk.at)}};
         add_entry(unfilled, slots[0], input, 2);

@@ -36,12 +36,13 @@ struct Link {
     int stream_count;
     /* reading; guarded by `reading` */
     pthread_mutex_t reading;
-    int reader;
+    _Atomic int reader;
     int failure; /* errno of the last reading; 0: none, or the peer has ended */
     uint8_t *chunk;
     ssize_t start, filled; /* of what was received and not passed on */
     uint8_t *body; /* a large message that is being read; NULL: the chunk is filled */
     ssize_t body_size, body_filled;
+    ssize_t pending; /* bytes of the unfinished message after the last turn; atomic */
     char checks;       /* its CRC is taken while it is read, and still in the cache */
     uint64_t body_crc; /* of what is read */
     struct {
@@ -55,7 +56,7 @@ struct Link {
     double room; /* messages that may arrive at once */
     double rate; /* by which it grows, per second, up to that of one second */
     int64_t rated_ns;
-    char is_limited; /* there is no room: TCP makes the peer wait */
+    _Atomic char is_limited; /* there is no room: TCP makes the peer wait */
     int64_t pauses_noted_ns;
     long long pauses; /* that Python has not taken over */
     long long received_messages, received_bytes, heard_ns;
@@ -70,10 +71,10 @@ struct Link {
     /* events; guarded by the passage */
     Link *next_noted, *next_closed, *next_with_large;
     char is_noted, is_closed, is_with_large;
-    /* turns, as in turns.py; of the reading thread alone */
+    /* turns, as in turns.py; of the reading thread alone, but Python looks whether the link waits */
     Link *next_waiting;
     int64_t turn_ns;
-    char waits;
+    _Atomic char waits;
     /* pauses; likewise */
     Link *next_limited;
     int64_t pause_ends_ns;

@@ -186,8 +186,9 @@ static void limit_rate(Link *self, int64_t now_ns)
     }
 }
 
-/* Take a turn: pass on what is whole, or receive once before; whether more is left for the next turn. */
-static int read_link(Link *self, int64_t begun_ns)
+/* Take a turn: pass on what is whole, or receive once before; whether more is left for the next turn.  ``is_inside``: whether
+ * a large message is being read. */
+static int read_link(Link *self, int64_t begun_ns, int *is_inside)
 {
     Passage *passage = self->passage;
     int64_t now_ns = begun_ns;
@@ -228,6 +229,8 @@ static int read_link(Link *self, int64_t begun_ns)
         now_ns = clock_ns(CLOCK_MONOTONIC);
     }
 done:
+    *is_inside = self->body != NULL;
+    __atomic_store_n(&self->pending, self->body ? self->body_filled : self->filled - self->start, __ATOMIC_RELAXED);
     pthread_mutex_unlock(&self->reading);
     return left;
 }

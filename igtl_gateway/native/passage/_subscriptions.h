@@ -19,7 +19,7 @@ struct Subscription {
     struct rcl_message_info info;
     size_t last_size; /* of the last message */
     /* losses, for TopicSubscription */
-    uint64_t last_number;
+    uint64_t last_number; /* atomic */
     long long received, missing;
     Subscription *next_ready;
 };
@@ -61,7 +61,7 @@ static void count_received(Subscription *self)
         return;
     if (self->last_number && number > self->last_number + 1)
         __atomic_add_fetch(&self->missing, (long long)(number - self->last_number - 1), __ATOMIC_RELAXED);
-    self->last_number = number;
+    __atomic_store_n(&self->last_number, number, __ATOMIC_RELAXED);
 }
 
 #endif

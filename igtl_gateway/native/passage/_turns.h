@@ -9,9 +9,9 @@
 /* Have a turn; of the reading thread alone, as the two that follow. */
 static void ask_for_turn(Passage *passage, Link *self)
 {
-    if (self->waits)
+    if (atomic_load_explicit(&self->waits, memory_order_relaxed))
         return;
-    self->waits = 1;
+    atomic_store_explicit(&self->waits, 1, memory_order_relaxed);
     if (self->turn_ns < passage->turn_ns)
         self->turn_ns = passage->turn_ns;
     self->next_waiting = NULL;
@@ -35,7 +35,7 @@ static void leave_turns(Passage *passage, Link *self)
             *at = self->next_waiting;
             break;
         }
-    self->waits = 0;
+    atomic_store_explicit(&self->waits, 0, memory_order_relaxed);
 }
 
 /* Let links whose pause is over have their turns; return the time (ms) until the next pause ends, -1: there is none. */
@@ -75,11 +75,11 @@ static void take_turn(Passage *passage)
         return;
     passage->waiting = link->next_waiting;
     passage->turn_ns = link->turn_ns;
-    link->waits = 0;
-    int more = read_link(link, clock_ns(CLOCK_MONOTONIC));
+    atomic_store_explicit(&link->waits, 0, memory_order_relaxed);
+    int is_inside, more = read_link(link, clock_ns(CLOCK_MONOTONIC), &is_inside);
     int64_t before_ns = passage->used_ns;
     passage->used_ns = clock_ns(CLOCK_THREAD_CPUTIME_ID);
-    link->turn_ns += (passage->used_ns - before_ns) / (more || link->body ? 1 : PART);
+    link->turn_ns += (passage->used_ns - before_ns) / (more || is_inside ? 1 : PART);
     if (more)
         ask_for_turn(passage, link);
 }

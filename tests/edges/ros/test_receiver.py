@@ -1,6 +1,6 @@
 """Turns and faults of the direct receiver, on a stand-in for rclpy's wait set (`test_ros.py` has the real one).
 
-Also the memory of messages that C takes (`_take.h`), on a stand-in for rcl.
+Also the memory of messages that C takes (`_owned.h`), on a stand-in for rcl.
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ def test_missing_internals_are_seen() -> None:
 
 _MODULE = """
 #define PY_SSIZE_T_CLEAN
-#include "_take.h"
+#include "python/_owned.h"
 
 static PyObject *take(PyObject *module, PyObject *args)
 {
@@ -196,25 +196,32 @@ static PyObject *take(PyObject *module, PyObject *args)
     if (!PyArg_ParseTuple(args, "K", &address))
         return NULL;
     memory.allocator = TAKE_ALLOCATOR;
-    return take_serialized((rcl_take_function)(uintptr_t)address, NULL, &memory);
+    struct rcl_message_info info = {0};
+    int32_t code = ((rcl_take_function)(uintptr_t)address)(NULL, &memory, &info, NULL);
+    if (code == RCL_RET_SUBSCRIPTION_TAKE_FAILED)
+        Py_RETURN_NONE;
+    if (code != RCL_RET_OK)
+        return PyErr_Format(PyExc_RuntimeError, "rcl cannot take a message (code %d)", (int)code);
+    return Py_BuildValue("NLK", python_bytes(&memory), (long long)info.source_ns,
+                         (unsigned long long)info.publication_number);
 }
 
 static PyMethodDef functions[] = {{"take", take, METH_VARARGS, ""}, {NULL, NULL, 0, NULL}};
 static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, "taking", "", -1, functions, NULL, NULL, NULL, NULL};
 
-PyMODINIT_FUNC PyInit_taking(void) { return begin_take() ? NULL : PyModule_Create(&definition); }
+PyMODINIT_FUNC PyInit_taking(void) { return begin_owned() ? NULL : PyModule_Create(&definition); }
 """
 
 
 @pytest.fixture(scope="module")
 def take(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Any]:
-    """Return `take_serialized`, compiled with the address of the function of rcl as its argument."""
+    """Return a function that takes a message, with the address of the function of rcl as its argument."""
     folder = tmp_path_factory.mktemp("take")
     source, target = folder / "taking.c", folder / "taking.so"
     source.write_text(_MODULE)
     compiler = shlex.split(sysconfig.get_config_var("CC") or "cc")[0]
     includes = [f"-I{sysconfig.get_path('include')}", f"-I{ROOT / 'igtl_gateway' / 'native' / 'passage'}"]
-    command = [compiler, "-shared", "-fPIC", "-Wall", "-Wextra", "-Werror", *includes, "-o", str(target), str(source)]
+    command = [compiler, "-shared", "-fPIC", "-Wall", "-Wextra", "-Wno-unused-variable", "-Werror", *includes, "-o", str(target), str(source)]
     try:
         subprocess.run(command, check=True, capture_output=True, text=True)
     except OSError:

@@ -16,7 +16,7 @@ static PyObject *passage_to_ros(Passage *self, PyObject *args)
     double times, by;
     unsigned long long number;
     PyObject *outputs;
-    if (!PyArg_ParseTuple(args, "O!y#y#nnppddnKO!", &Link_Type, &link, &names, &names_size, &sample, &size, &at, &bytes,
+    if (!PyArg_ParseTuple(args, "O!y#y#nnppddnKO!", Link_Type, &link, &names, &names_size, &sample, &size, &at, &bytes,
                           &check_crc, &own, &times, &by, &place_at, &number, &PyTuple_Type, &outputs))
         return NULL;
     if (names_size != NAMES_BYTES || (bytes != MATRIX_BYTES && bytes != QUATERNION_BYTES) || at < HEADER_SIZE ||
@@ -37,7 +37,7 @@ static PyObject *passage_to_ros(Passage *self, PyObject *args)
         Py_ssize_t length, stamp_at, id_at;
         Publisher *publisher;
         if (!PyArg_ParseTuple(PyTuple_GET_ITEM(outputs, i), "y#nnKO!", &template, &length, &stamp_at, &id_at, &number,
-                              &Publisher_Type, &publisher))
+                              Publisher_Type, &publisher))
             goto failed;
         if (!has_room_for_pose(length, stamp_at, id_at, at)) {
             PyErr_SetString(PyExc_ValueError, "to_ros: an output without room for stamp and pose or message id");
@@ -64,7 +64,7 @@ static PyObject *passage_to_ros_bulk(Passage *self, PyObject *args)
     double times, by;
     unsigned long long number;
     PyObject *outputs;
-    if (!PyArg_ParseTuple(args, "O!y#y#nnppddKO!p", &Link_Type, &link, &names, &names_size, &sample, &size, &at, &tail,
+    if (!PyArg_ParseTuple(args, "O!y#y#nnppddKO!p", Link_Type, &link, &names, &names_size, &sample, &size, &at, &tail,
                           &check_crc, &own, &times, &by, &number, &PyTuple_Type, &outputs, &keeps))
         return NULL;
     if (names_size != NAMES_BYTES || tail < 0 || (tail && sample[1] != 2) || size < at + tail ||
@@ -87,7 +87,7 @@ static PyObject *passage_to_ros_bulk(Passage *self, PyObject *args)
         int form;
         Publisher *publisher;
         if (!PyArg_ParseTuple(PyTuple_GET_ITEM(outputs, i), "iy#nnnKO!", &form, &template, &room, &stamp_at, &width_at,
-                              &rest, &number, &Publisher_Type, &publisher))
+                              &rest, &number, Publisher_Type, &publisher))
             goto failed;
         struct output *output = new_output(stream, template, room, stamp_at, 0, number);
         if (!output)
@@ -120,7 +120,7 @@ static int add_links(struct output *output, const char *channel, PyObject *links
     }
     for (Py_ssize_t k = 0; k < PyTuple_GET_SIZE(links); k++) {
         PyObject *link = PyTuple_GET_ITEM(links, k);
-        if (!PyObject_TypeCheck(link, &Link_Type)) {
+        if (!PyObject_TypeCheck(link, Link_Type)) {
             PyErr_SetString(PyExc_TypeError, "to_igtl: not a link");
             return 0;
         }
@@ -138,7 +138,7 @@ static PyObject *passage_to_igtl(Passage *self, PyObject *args)
     double times, by;
     unsigned long long number;
     PyObject *outputs;
-    if (!PyArg_ParseTuple(args, "O!y#nnnnpddKO!", &Subscription_Type, &subscription, &sample, &size, &first_end, &second,
+    if (!PyArg_ParseTuple(args, "O!y#nnnnpddKO!", Subscription_Type, &subscription, &sample, &size, &first_end, &second,
                           &end, &bytes, &own, &times, &by, &number, &PyTuple_Type, &outputs))
         return NULL;
     if (first_end < NAMES_AT || second < first_end || end < second || end > size - POSE_BYTES ||
@@ -182,7 +182,7 @@ static PyObject *passage_to_igtl_bulk(Passage *self, PyObject *args)
     double times, by;
     unsigned long long number;
     PyObject *places, *outputs;
-    if (!PyArg_ParseTuple(args, "O!y#O!ipddKO!", &Subscription_Type, &subscription, &sample, &size, &PyTuple_Type, &places,
+    if (!PyArg_ParseTuple(args, "O!y#O!ipddKO!", Subscription_Type, &subscription, &sample, &size, &PyTuple_Type, &places,
                           &form, &own, &times, &by, &number, &PyTuple_Type, &outputs))
         return NULL;
     Py_ssize_t count = PyTuple_GET_SIZE(places);

@@ -3,6 +3,7 @@
 #define IGTL_GATEWAY_PASSAGE_PYTHON_GUARD_H
 
 #include "../_guard.h"
+#include "_types.h"
 
 #include <structmember.h>
 
@@ -67,14 +68,20 @@ static PyMemberDef guard_members[] = {
     {NULL, 0, 0, 0, NULL},
 };
 
-static PyTypeObject Guard_Type = {
-    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "igtl_gateway.native._passage.Guard",
-    .tp_basicsize = sizeof(Guard),
-    .tp_flags = Py_TPFLAGS_DEFAULT,
-    .tp_doc = "The state of a guarded stream; all methods need the sequence lock.",
-    .tp_new = PyType_GenericNew,
-    .tp_methods = guard_methods,
-    .tp_members = guard_members,
+static PyType_Slot guard_slots[] = {
+    {Py_tp_doc, "The state of a guarded stream; all methods need the sequence lock."},
+    {Py_tp_dealloc, free_object},
+    {Py_tp_new, PyType_GenericNew},
+    {Py_tp_methods, guard_methods},
+    {Py_tp_members, guard_members},
+    {0, NULL},
+};
+
+static PyType_Spec guard_spec = {
+    .name = "igtl_gateway.native._passage.Guard",
+    .basicsize = sizeof(Guard),
+    .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
+    .slots = guard_slots,
 };
 
 #endif

@@ -7,22 +7,22 @@
 #include "_lock.h"
 #include "_streams.h"
 
-static PyTypeObject Passage_Type; /* in _passage.h */
-
 static PyObject *link_new(PyTypeObject *type, PyObject *args, PyObject *keywords)
 {
     (void)keywords;
     Passage *passage;
     Lock *sending;
     int number, fd;
-    if (!PyArg_ParseTuple(args, "O!iiO!", &Passage_Type, &passage, &number, &fd, &Lock_Type, &sending))
+    if (!PyArg_ParseTuple(args, "O!iiO!", Passage_Type, &passage, &number, &fd, Lock_Type, &sending))
         return NULL;
     Link *self = (Link *)type->tp_alloc(type, 0);
     if (!self)
         return NULL;
     self->passage = (Passage *)Py_NewRef((PyObject *)passage);
     self->sending = (Lock *)Py_NewRef((PyObject *)sending);
-    self->number = number, self->fd = fd, self->reader = PYTHON, self->clear = 1;
+    self->number = number, self->fd = fd;
+    self->reader = PYTHON;
+    self->clear = 1;
     self->large_end = &self->large;
     self->unsent_end = &self->unsent;
     self->chunk = malloc(CHUNK_BYTES);
@@ -61,7 +61,7 @@ static void link_dealloc(Link *self)
     pthread_mutex_destroy(&self->reading);
     Py_XDECREF((PyObject *)self->sending);
     Py_XDECREF((PyObject *)self->passage);
-    Py_TYPE(self)->tp_free((PyObject *)self);
+    free_object((PyObject *)self);
 }
 
 static PyObject *link_read_natively(Link *self, PyObject *args)
@@ -72,6 +72,7 @@ static PyObject *link_read_natively(Link *self, PyObject *args)
     struct epoll_event event = {.events = EPOLLIN, .data.ptr = self};
     lock_from_python(&self->reading);
     self->start = self->filled = 0;
+    __atomic_store_n(&self->pending, 0, __ATOMIC_RELAXED);
     self->room = room, self->rate = rate, self->rated_ns = clock_ns(CLOCK_MONOTONIC);
     self->reader = NATIVE;
     int failed = epoll_ctl(self->passage->epoll, EPOLL_CTL_ADD, self->fd, &event);
@@ -91,13 +92,15 @@ static PyObject *link_read_by_python(Link *self, PyObject *nothing)
             epoll_ctl(self->passage->epoll, EPOLL_CTL_DEL, self->fd, NULL);
         self->failure = 0;
     }
-    self->is_paused = self->is_limited = 0;
+    self->is_paused = 0;
+    self->is_limited = 0;
     PyObject *rest = Py_BuildValue("y#i", (const char *)(self->body ? self->body : self->chunk + self->start),
                                    (Py_ssize_t)(self->body ? self->body_filled : self->filled - self->start),
                                    self->failure);
     free(self->body);
     self->body = NULL;
     self->start = self->filled = 0;
+    __atomic_store_n(&self->pending, 0, __ATOMIC_RELAXED);
     pthread_mutex_unlock(&self->reading);
     return rest;
 }
@@ -202,7 +205,7 @@ static PyObject *link_get_large_bytes(Link *self, void *closure)
 
 static PyObject *link_get_pending(Link *self, void *closure)
 {
-    return (void)closure, PyLong_FromSsize_t(self->body ? self->body_filled : self->filled - self->start);
+    return (void)closure, PyLong_FromSsize_t(__atomic_load_n(&self->pending, __ATOMIC_RELAXED));
 }
 
 /* No thread looks at the link any more: to be called before its socket is closed. */
@@ -286,16 +289,21 @@ static PyGetSetDef link_properties[] = {
     {NULL, NULL, NULL, NULL, NULL},
 };
 
-static PyTypeObject Link_Type = {
-    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "igtl_gateway.native._passage.Link",
-    .tp_basicsize = sizeof(Link),
-    .tp_flags = Py_TPFLAGS_DEFAULT,
-    .tp_doc = "A connection: passage, number, descriptor, and the lock of its sender.",
-    .tp_new = link_new,
-    .tp_dealloc = (destructor)link_dealloc,
-    .tp_methods = link_methods,
-    .tp_members = link_members,
-    .tp_getset = link_properties,
+static PyType_Slot link_slots[] = {
+    {Py_tp_doc, "A connection: passage, number, descriptor, and the lock of its sender."},
+    {Py_tp_new, link_new},
+    {Py_tp_dealloc, link_dealloc},
+    {Py_tp_methods, link_methods},
+    {Py_tp_members, link_members},
+    {Py_tp_getset, link_properties},
+    {0, NULL},
+};
+
+static PyType_Spec link_spec = {
+    .name = "igtl_gateway.native._passage.Link",
+    .basicsize = sizeof(Link),
+    .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
+    .slots = link_slots,
 };
 
 #endif

@@ -3,6 +3,7 @@
 #define IGTL_GATEWAY_PASSAGE_PYTHON_LOCK_H
 
 #include "../_lock.h"
+#include "_types.h"
 
 static PyObject *lock_new(PyTypeObject *type, PyObject *args, PyObject *keywords)
 {
@@ -18,7 +19,7 @@ static PyObject *lock_new(PyTypeObject *type, PyObject *args, PyObject *keywords
 static void lock_dealloc(Lock *self)
 {
     pthread_mutex_destroy(&self->mutex);
-    Py_TYPE(self)->tp_free((PyObject *)self);
+    free_object((PyObject *)self);
 }
 
 static PyObject *lock_enter(Lock *self, PyObject *nothing)
@@ -41,14 +42,19 @@ static PyMethodDef lock_methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-static PyTypeObject Lock_Type = {
-    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "igtl_gateway.native._passage.Lock",
-    .tp_basicsize = sizeof(Lock),
-    .tp_flags = Py_TPFLAGS_DEFAULT,
-    .tp_doc = "A lock that Python and the native passage share.",
-    .tp_new = lock_new,
-    .tp_dealloc = (destructor)lock_dealloc,
-    .tp_methods = lock_methods,
+static PyType_Slot lock_slots[] = {
+    {Py_tp_doc, "A lock that Python and the native passage share."},
+    {Py_tp_new, lock_new},
+    {Py_tp_dealloc, lock_dealloc},
+    {Py_tp_methods, lock_methods},
+    {0, NULL},
+};
+
+static PyType_Spec lock_spec = {
+    .name = "igtl_gateway.native._passage.Lock",
+    .basicsize = sizeof(Lock),
+    .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
+    .slots = lock_slots,
 };
 
 #endif

@@ -43,7 +43,7 @@ static void passage_dealloc(Passage *self)
         fill_until(self, direction, INT64_MAX);
     Py_XDECREF((PyObject *)self->queue_lock);
     Py_XDECREF(self->queue_memory);
-    Py_TYPE(self)->tp_free((PyObject *)self);
+    free_object((PyObject *)self);
 }
 
 static PyObject *passage_enter(Passage *self, PyObject *nothing)
@@ -232,7 +232,7 @@ static PyObject *passage_record_into(Passage *self, PyObject *args)
 {
     PyObject *memory;
     Lock *lock;
-    if (!PyArg_ParseTuple(args, "OO!", &memory, &Lock_Type, &lock))
+    if (!PyArg_ParseTuple(args, "OO!", &memory, Lock_Type, &lock))
         return NULL;
     Py_buffer view;
     if (PyObject_GetBuffer(memory, &view, PyBUF_WRITABLE))
@@ -253,7 +253,7 @@ static PyObject *passage_set_callback(Passage *self, PyObject *args)
     unsigned long long function;
     Subscription *subscription;
     int on;
-    if (!PyArg_ParseTuple(args, "KO!p", &function, &Subscription_Type, &subscription, &on))
+    if (!PyArg_ParseTuple(args, "KO!p", &function, Subscription_Type, &subscription, &on))
         return NULL;
     rcl_set_callback_function set = (rcl_set_callback_function)(uintptr_t)function;
     int code;
@@ -317,15 +317,20 @@ static PyMemberDef passage_members[] = {
     {NULL, 0, 0, 0, NULL},
 };
 
-static PyTypeObject Passage_Type = {
-    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "igtl_gateway.native._passage.Passage",
-    .tp_basicsize = sizeof(Passage),
-    .tp_flags = Py_TPFLAGS_DEFAULT,
-    .tp_doc = "The native passage of a bridge; its context is the sequence lock.",
-    .tp_new = passage_new,
-    .tp_dealloc = (destructor)passage_dealloc,
-    .tp_methods = passage_methods,
-    .tp_members = passage_members,
+static PyType_Slot passage_slots[] = {
+    {Py_tp_doc, "The native passage of a bridge; its context is the sequence lock."},
+    {Py_tp_new, passage_new},
+    {Py_tp_dealloc, passage_dealloc},
+    {Py_tp_methods, passage_methods},
+    {Py_tp_members, passage_members},
+    {0, NULL},
+};
+
+static PyType_Spec passage_spec = {
+    .name = "igtl_gateway.native._passage.Passage",
+    .basicsize = sizeof(Passage),
+    .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
+    .slots = passage_slots,
 };
 
 #endif

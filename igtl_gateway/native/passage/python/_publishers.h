@@ -3,6 +3,7 @@
 #define IGTL_GATEWAY_PASSAGE_PYTHON_PUBLISHERS_H
 
 #include "../_publishing.h"
+#include "_types.h"
 
 static PyObject *publisher_new(PyTypeObject *type, PyObject *args, PyObject *keywords)
 {
@@ -31,7 +32,7 @@ static void publisher_dealloc(Publisher *self)
     if (self->latched)
         pthread_mutex_destroy(&self->publishing);
     free(self->own_messages);
-    Py_TYPE(self)->tp_free((PyObject *)self);
+    free_object((PyObject *)self);
 }
 
 static PyObject *show_own(const struct own_message *own)
@@ -98,14 +99,19 @@ static PyMethodDef publisher_methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-static PyTypeObject Publisher_Type = {
-    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "igtl_gateway.native._passage.Publisher",
-    .tp_basicsize = sizeof(Publisher),
-    .tp_flags = Py_TPFLAGS_DEFAULT,
-    .tp_doc = "A publisher by the address of its rcl_publisher_t (0: nothing is published), and whether it is latched.",
-    .tp_new = publisher_new,
-    .tp_dealloc = (destructor)publisher_dealloc,
-    .tp_methods = publisher_methods,
+static PyType_Slot publisher_slots[] = {
+    {Py_tp_doc, "A publisher by the address of its rcl_publisher_t (0: nothing is published), and whether it is latched."},
+    {Py_tp_new, publisher_new},
+    {Py_tp_dealloc, publisher_dealloc},
+    {Py_tp_methods, publisher_methods},
+    {0, NULL},
+};
+
+static PyType_Spec publisher_spec = {
+    .name = "igtl_gateway.native._passage.Publisher",
+    .basicsize = sizeof(Publisher),
+    .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
+    .slots = publisher_slots,
 };
 
 #endif

@@ -4,8 +4,8 @@
 
 #include "../_links.h"
 #include "../_subscriptions.h"
-#include "../_take.h"
 #include "_guard.h"
+#include "_owned.h"
 
 static void free_stream(Stream *self)
 {
@@ -25,7 +25,7 @@ static void free_stream(Stream *self)
     Py_XDECREF((PyObject *)self->subscription);
     Py_XDECREF((PyObject *)self->guard);
     Py_XDECREF((PyObject *)self->passage);
-    Py_TYPE(self)->tp_free((PyObject *)self);
+    free_object((PyObject *)self);
 }
 
 /* Free what was in use when the last reference went, and is not any more; the caller has the GIL. */
@@ -121,7 +121,7 @@ static PyObject *stream_collect(Stream *self, PyObject *nothing)
 
 static PyObject *stream_guard_with(Stream *self, PyObject *guard)
 {
-    if (!PyObject_TypeCheck(guard, &Guard_Type)) {
+    if (!PyObject_TypeCheck(guard, Guard_Type)) {
         PyErr_SetString(PyExc_TypeError, "guard_with: not a guard");
         return NULL;
     }
@@ -142,19 +142,24 @@ static PyMemberDef stream_members[] = {
     {NULL, 0, 0, 0, NULL},
 };
 
-static PyTypeObject Stream_Type = {
-    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "igtl_gateway.native._passage.Stream",
-    .tp_basicsize = sizeof(Stream),
-    .tp_flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_DISALLOW_INSTANTIATION,
-    .tp_doc = "A compiled stream of the native passage.",
-    .tp_dealloc = (destructor)stream_dealloc,
-    .tp_methods = stream_methods,
-    .tp_members = stream_members,
+static PyType_Slot stream_slots[] = {
+    {Py_tp_doc, "A compiled stream of the native passage."},
+    {Py_tp_dealloc, stream_dealloc},
+    {Py_tp_methods, stream_methods},
+    {Py_tp_members, stream_members},
+    {0, NULL},
+};
+
+static PyType_Spec stream_spec = {
+    .name = "igtl_gateway.native._passage.Stream",
+    .basicsize = sizeof(Stream),
+    .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE | Py_TPFLAGS_DISALLOW_INSTANTIATION,
+    .slots = stream_slots,
 };
 
 static Stream *new_stream(Passage *passage, const char *sample, Py_ssize_t size)
 {
-    Stream *self = PyObject_New(Stream, &Stream_Type);
+    Stream *self = PyObject_New(Stream, Stream_Type);
     if (!self)
         return NULL;
     memset((char *)self + offsetof(Stream, passage), 0, sizeof *self - offsetof(Stream, passage));

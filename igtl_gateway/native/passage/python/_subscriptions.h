@@ -3,15 +3,15 @@
 #define IGTL_GATEWAY_PASSAGE_PYTHON_SUBSCRIPTIONS_H
 
 #include "../_taking.h"
-#include "../_take.h"
 #include "_links.h"
+#include "_owned.h"
 
 static PyObject *subscription_new(PyTypeObject *type, PyObject *args, PyObject *keywords)
 {
     (void)keywords;
     Passage *passage;
     unsigned long long pointer;
-    if (!PyArg_ParseTuple(args, "O!K", &Passage_Type, &passage, &pointer))
+    if (!PyArg_ParseTuple(args, "O!K", Passage_Type, &passage, &pointer))
         return NULL;
     Subscription *self = (Subscription *)type->tp_alloc(type, 0);
     if (!self)
@@ -31,7 +31,7 @@ static void subscription_dealloc(Subscription *self)
     free(self->message.buffer);
     pthread_mutex_destroy(&self->state);
     Py_XDECREF((PyObject *)self->passage);
-    Py_TYPE(self)->tp_free((PyObject *)self);
+    free_object((PyObject *)self);
 }
 
 /* Python takes the next message that does not pass natively, until there is none. */
@@ -52,8 +52,11 @@ static PyObject *subscription_take(Subscription *self, PyObject *nothing)
         Py_RETURN_NONE;
     if (code) {
         pthread_mutex_lock(&self->state);
-        move_taker(self, IDLE);
+        int is_pending = self->is_pending; /* rcl reports each message once */
+        move_taker(self, is_pending ? WAITS : IDLE);
         pthread_mutex_unlock(&self->state);
+        if (is_pending)
+            note_subscription(self);
         return PyErr_Format(PyExc_RuntimeError, "rcl cannot take a message (code %d)", code);
     }
     if (self->holds == EMPTY) /* a large one has passed */
@@ -77,7 +80,7 @@ static PyObject *subscription_again(Subscription *self, PyObject *nothing)
 static PyObject *subscription_collect(Subscription *self, PyObject *nothing)
 {
     (void)nothing;
-    return Py_BuildValue("LLK", taken(&self->received), taken(&self->missing), (unsigned long long)self->last_number);
+    return Py_BuildValue("LLK", taken(&self->received), taken(&self->missing), (unsigned long long)__atomic_load_n(&self->last_number, __ATOMIC_RELAXED));
 }
 
 static PyMethodDef subscription_methods[] = {
@@ -95,15 +98,20 @@ static PyMemberDef subscription_members[] = {
     {NULL, 0, 0, 0, NULL},
 };
 
-static PyTypeObject Subscription_Type = {
-    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "igtl_gateway.native._passage.Subscription",
-    .tp_basicsize = sizeof(Subscription),
-    .tp_flags = Py_TPFLAGS_DEFAULT,
-    .tp_doc = "A subscription by the address of its rcl_subscription_t.",
-    .tp_new = subscription_new,
-    .tp_dealloc = (destructor)subscription_dealloc,
-    .tp_methods = subscription_methods,
-    .tp_members = subscription_members,
+static PyType_Slot subscription_slots[] = {
+    {Py_tp_doc, "A subscription by the address of its rcl_subscription_t."},
+    {Py_tp_new, subscription_new},
+    {Py_tp_dealloc, subscription_dealloc},
+    {Py_tp_methods, subscription_methods},
+    {Py_tp_members, subscription_members},
+    {0, NULL},
+};
+
+static PyType_Spec subscription_spec = {
+    .name = "igtl_gateway.native._passage.Subscription",
+    .basicsize = sizeof(Subscription),
+    .flags = Py_TPFLAGS_DEFAULT | Py_TPFLAGS_IMMUTABLETYPE,
+    .slots = subscription_slots,
 };
 
 #endif
