@@ -31,7 +31,7 @@ help:
 	@echo "make test        the gate for every change: the checks, the fast tests and the slow tests"
 	@echo "make test-long   the tests that take too long for the gate"
 	@echo "make coverage    branch coverage of the fast tests, as a table and in out/coverage/index.html"
-	@echo "make sanitize    the parts in C, with the sanitizers of the compiler and checks of their states"
+	@echo "make sanitize    the parts in C, with the sanitizers of the compiler, checks of states, ten minutes of foreign bytes"
 	@echo "make core        the core's tests on each Python that is present, 3.10 to 3.14, or PYTHONS"
 	@echo "make hooks       install the checks as git hooks of this checkout"
 	@echo "make pictures    write the pictures in docs/pictures again, from the recordings in fixtures/"

@@ -43,7 +43,10 @@ TESTS = {
     "_chunk": ("tests/record/sessionfile/test_chunk_rows.py",),
     "_columns": ("tests/record/sessionfile/test_columns.py", "tests/record/sessionfile/test_chunk_columns.py"),
     "_express": ("tests/convert/test_express.py", "tests/native/test_twins.py"),
-    "_passage": ("tests/native/test_turns.py", "tests/native/test_foreign.py", "tests/gateway/fastpath"),
+    "_passage": (
+        *(f"tests/native/test_{name}.py" for name in ("foreign", "subscriptions", "turns", "types")),
+        "tests/gateway/fastpath",
+    ),
     "_queue": ("tests/record/test_shared_queue.py",),
 }
 #: The sanitizers leave out what this test asks the system for.
