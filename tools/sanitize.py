@@ -2,7 +2,7 @@
 
     .venv/bin/python tools/sanitize.py [--minutes 10] [--rounds 2000000] [PART …]
 
-Parts: ``kernel`` is tests/native/kernel by itself, with so many rounds of foreign bytes.  ``memory`` is the modules in
+Parts: ``kernel`` is tests/native/kernel by itself, on foreign bytes, rounds as given.  ``memory`` is the modules in
 their tests under the sanitizers of addresses and of undefined behaviour, with the checks of STATES.md.  ``threads`` is
 the same under the sanitizer of threads.  ``fuzz`` is kernel and passage on foreign bytes, with other seeds until the
 minutes are over.

@@ -46,7 +46,7 @@ def test_the_program_has_the_whole_kernel(program: Path) -> None:
         shlex.split(sysconfig.get_config_var("CC") or "cc")[0],
         "-MM",
         f"-I{PACKAGE / 'native' / 'kernel'}",
-        SOURCE,
+        str(SOURCE),
     ]
     included = subprocess.run(words, capture_output=True, text=True, check=True).stdout
     assert {path.name for path in (PACKAGE / "native" / "kernel").glob("*.h")} <= {

@@ -221,7 +221,8 @@ def take(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Any]:
     source.write_text(_MODULE)
     compiler = shlex.split(sysconfig.get_config_var("CC") or "cc")[0]
     includes = [f"-I{sysconfig.get_path('include')}", f"-I{ROOT / 'igtl_gateway' / 'native' / 'passage'}"]
-    command = [compiler, "-shared", "-fPIC", "-Wall", "-Wextra", "-Wno-unused-variable", "-Werror", *includes, "-o", str(target), str(source)]
+    warnings = ["-Wall", "-Wextra", "-Wno-unused-variable", "-Werror"]
+    command = [compiler, "-shared", "-fPIC", *warnings, *includes, "-o", str(target), str(source)]
     try:
         subprocess.run(command, check=True, capture_output=True, text=True)
     except OSError:
