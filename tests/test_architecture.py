@@ -255,11 +255,14 @@ UNMIRRORED = (
     "test_mistyped_names.py",  # all verbs
     "integration",
     "peers",
+    "native/test_foreign.py",  # the native passage, on foreign bytes
     "native/test_kernel.py",  # the headers of native/kernel, in C
     "native/test_rooms.py",  # the headers of native/kernel and native/passage
     "native/test_states.py",  # native/passage/STATES.md
+    "native/test_subscriptions.py",  # native/passage/_taking.h
     "native/test_turns.py",  # turns of links, native/passage/_turns.h
     "native/test_twins.py",  # rules that stand in Python and in C
+    "native/test_types.py",  # the types of native/passage/python
     "addons/resim/test_abi.py",  # addons/resim/preload/_abi.h
     "addons/resim/test_programs.py",  # programs of every kind, 5 runs each
     "addons/resim/test_page.py",  # docs/how-to/resim.md
