@@ -105,7 +105,7 @@ def test_facts_of_earlier_files_get_their_channels() -> None:
     ],
 )
 def test_other_facts_are_refused_by_place(name: str, value: Any, words: str) -> None:
-    with pytest.raises(DamagedRecording, match=f"a.mcap.*{name}.*") as found:
+    with pytest.raises(DamagedRecording, match=f"^a.mcap.*{name}.*") as found:
         StampCorrection.of(ONE.facts() | {name: value}, "a.mcap")
     assert words in str(found.value)
 
