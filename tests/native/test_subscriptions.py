@@ -7,8 +7,8 @@ import threading
 import pytest
 
 from igtl_gateway.native.passage import Passage, Subscription, is_compiled
-from tests.gateway.fastpath.test_passage_streams import TIMEOUT_S
 from tests.native.middleware import Middleware
+from tests.timing import WAIT_S
 
 pytestmark = pytest.mark.skipif(not is_compiled(), reason="without the native passage")
 
@@ -32,7 +32,7 @@ def test_what_comes_while_python_has_a_failure_is_taken_without_a_further_messag
     found: list[list[Subscription]] = []
     thread = threading.Thread(target=lambda: found.append(passage.wait_subscriptions()), daemon=True)
     thread.start()
-    thread.join(TIMEOUT_S)
+    thread.join(WAIT_S)
     passage.wake()
     thread.join()
     assert found == [[one]]
