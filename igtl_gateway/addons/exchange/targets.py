@@ -66,7 +66,7 @@ def export_to(
     return account
 
 
-# -- each is imported when it is used: the help needs the texts, and some need extras ------------------------------
+# -- each is imported when it is used: the help needs the titles, and some need extras ------------------------------
 
 
 def _export_csv(recording: Recording, out: Path, globs: Sequence[str], **more: Any) -> ExportAccount:
