@@ -3,7 +3,7 @@
 ``_columns.c`` has the compiled functions; they also exist here, with an equal result.  What they read is untrusted.
 
 Other readers were weighed for this: small-mcap and pybag make an object of each message, as the ``mcap`` library does;
-the ``mcap`` crate and ``re_mcap`` are Rust, and no wheel gives their records as columns.  All of them trust what this
+the crates mcap and re_mcap are Rust, and no wheel gives their records as columns.  All of them trust what this
 folder checks (sizes, counts, limits), and none reads the head of a RawMessage.
 """
 

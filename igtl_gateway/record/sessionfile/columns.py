@@ -109,7 +109,7 @@ class WireHeads:
     ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.uint8], int, LayoutError | None]:
         """Find the OpenIGTLink messages in RawMessages; ``begins`` becomes their places.
 
-        Returns the heads, the flags, and the row of the first one that is no RawMessage, with the error of it.
+        Returns the heads, the flags, and the row of the first invalid RawMessage, with the error of it.
         """
         if len(self.known) > _LEARNED_HEADS:
             self._forget()
