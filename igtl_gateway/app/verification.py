@@ -9,8 +9,10 @@ from typing import Any
 from igtl_gateway.base.errors import UnsupportedRecording
 from igtl_gateway.base.version import __version__
 from igtl_gateway.config.configuration import Config
+from igtl_gateway.record.sessionfile.columns import Unfit
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import LeafDecoder
+from igtl_gateway.replay.recheck import can_recheck, recheck
 from igtl_gateway.replay.recorded_config import absent_sources, config_to_run, units_of
 from igtl_gateway.replay.verify import DeclaredLosses, Difference, VerifyReport, verify
 
@@ -40,6 +42,7 @@ class Verification:
         by_stream: differing outputs by stream.
         firsts: first difference of each stream.
         differences: the first 1,000 differences.
+        compiled: number of inputs whose outputs compiled conversions computed, instead of the full path.
         damaged_indexes: number of chunks whose index of messages is damaged: other programs do not find all messages.
         absent: a sentence about each topic and device of another configuration that the recording does not have.
     """
@@ -59,6 +62,7 @@ class Verification:
     by_stream: dict[str, int]
     firsts: dict[str, Difference]
     differences: tuple[Difference, ...]
+    compiled: int = 0
     damaged_indexes: int = 0
     absent: tuple[str, ...] = ()
 
@@ -77,27 +81,28 @@ class Verification:
         return {"file": values.pop("file"), "good": self.good, **values}
 
 
-def verify_parts(path: Path, config_path: Path | None = None) -> list[Verification]:
+def verify_parts(path: Path, config_path: Path | None = None, *, reference: bool = False) -> list[Verification]:
     """Verify each part of a merged session; of another recording return nothing.  Raises as ``verify_recording``."""
     with SessionFile.open(path) as file:
         names = file.merge.names if file.merge else []
-    return [verify_recording(path / name, config_path) for name in names]
+    return [verify_recording(path / name, config_path, reference=reference) for name in names]
 
 
-def verify_recording(path: Path, config_path: Path | None = None) -> Verification:
+def verify_recording(path: Path, config_path: Path | None = None, *, reference: bool = False) -> Verification:
     """Verify a recording.
 
     Args:
         path: the recording.
         config_path: configuration file to use instead of the recorded configuration.
+        reference: compute all outputs by the full path.
 
     Raises UnsupportedRecording for other files and for imports, DamagedRecording, ConfigError.
     """
     with SessionFile.open(path) as file:
-        return verify_session(file, config_path)
+        return verify_session(file, config_path, reference=reference)
 
 
-def verify_session(file: SessionFile, config_path: Path | None = None) -> Verification:
+def verify_session(file: SessionFile, config_path: Path | None = None, *, reference: bool = False) -> Verification:
     """Verify an open recording; see `verify_recording`."""
     path = file.path
     if file.merge:
@@ -113,7 +118,9 @@ def verify_session(file: SessionFile, config_path: Path | None = None) -> Verifi
     config = _config(path, config_path, file, recorded_by)
     decoder = LeafDecoder(file.definitions, units_of(config, file))
     losses = DeclaredLosses.of(file.session, file.ledger)
-    report = verify(file.entries(), config, losses, before=file.prologue(), decoder=decoder)
+    report = None if reference else _recheck(file, config, losses, decoder)
+    if report is None or not report.good:
+        report = verify(file.entries(), config, losses, before=file.prologue(), decoder=decoder)
     counts = {each.name: getattr(report, each.name) for each in fields(VerifyReport)}
     counts["differences"] = tuple(report.differences)
     config_name = str(config_path) if config_path else RECORDED
@@ -121,6 +128,20 @@ def verify_session(file: SessionFile, config_path: Path | None = None) -> Verifi
     return Verification(
         path, recorded_by, __version__, config_name, **counts, damaged_indexes=file.damaged_indexes(), absent=absent
     )
+
+
+def _recheck(file: SessionFile, config: Config, losses: DeclaredLosses, decoder: LeafDecoder) -> VerifyReport | None:
+    """The result with compiled conversions, whose differences are not all certain; None: they cannot be used."""
+    if not can_recheck(config):
+        return None
+    try:
+        columns = file.columns()
+    except Unfit:
+        return None
+    counts: dict[str, int] = {}
+    for channel in file.channels:
+        counts[channel.topic] = counts.get(channel.topic, 0) + channel.count
+    return recheck(columns, config, losses, counts=counts, before=file.prologue(), decoder=decoder)
 
 
 def _config(path: Path, config_path: Path | None, file: SessionFile, recorded_by: str) -> Config:

@@ -47,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="with --seal: require a time stamp of an authority with these certificates, PEM (repeatable)",
     )
+    parser.add_argument("--reference", action="store_true", help="compute all outputs by the full path")
     add_json(parser)
 
 

@@ -30,9 +30,9 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError("--tsa: found no --seal, expected it with certificates of time-stamp authorities")
     if options.seal:
         return _run_seal(options)
-    if parts := verify_parts(options.file, options.config):
+    if parts := verify_parts(options.file, options.config, reference=options.reference):
         return _run_parts(parts, options)
-    result = verify_recording(options.file, options.config)
+    result = verify_recording(options.file, options.config, reference=options.reference)
     if options.json:
         print_json(result.to_dict())
     else:
@@ -121,7 +121,9 @@ def _print(result: Verification, everything: bool) -> None:
     print_line(f"{result.file}: {versions} with {configuration}")
     for each in result.absent:
         print_line(f"? {each}")
-    print_line(f"  {count_text(result.inputs, 'input')} processed, {count_text(result.outputs, 'output')} compared")
+    how = f", {result.compiled:,} of them by compiled conversions" if result.compiled else ""
+    inputs, outputs = count_text(result.inputs, "input"), count_text(result.outputs, "output")
+    print_line(f"  {inputs} processed{how}, {outputs} compared")
     if result.good and not result.outputs:
         print_line("nothing to verify: no outputs recorded, none computed")
     elif result.good:

@@ -122,6 +122,7 @@ class VerifyReport:
         orphans: number of recorded outputs of such inputs; not verified.
         late: number of notes at other times than recorded, because the entries that they report were lost.
         differing: number of outputs that are different, missing or additional.
+        compiled: number of inputs whose outputs compiled conversions computed, instead of the full path.
         by_stream: differing outputs by stream.
         firsts: first difference of each stream.
         differences: all differences, up to MAX_KEPT.
@@ -135,6 +136,7 @@ class VerifyReport:
     orphans: int = 0
     late: int = 0
     differing: int = 0
+    compiled: int = 0
     by_stream: dict[str, int] = field(default_factory=dict)
     firsts: dict[str, Difference] = field(default_factory=dict)
     differences: list[Difference] = field(default_factory=list)
@@ -169,17 +171,27 @@ def verify(
         before: the prologue of the recording.
         decoder: decoder for the recording, to report differences with units.
     """
-    verifier = _Verifier(config, losses, decoder or LeafDecoder(units=StreamUnits(config)))
+    verifier = Verifier(config, losses, decoder)
     verifier.before(before)
     for entry in entries:
         verifier.take(entry)
     return verifier.end()
 
 
-class _Verifier:
-    def __init__(self, config: Config, losses: DeclaredLosses, decoder: LeafDecoder) -> None:
+class Verifier:
+    """Compares entry by entry, with the full path.
+
+    Attributes:
+        core: of the gateway that computes the outputs.
+    """
+
+    def __init__(
+        self, config: Config, losses: DeclaredLosses, decoder: LeafDecoder | None, *, compiles: bool = False
+    ) -> None:
         # without the fast path: its recorded outputs are checked against the full path
-        self._session = Session(make_core(config, fast_path=False))
+        self.core = make_core(config, fast_path=compiles)
+        self._session = Session(self.core)
+        decoder = decoder or LeafDecoder(units=StreamUnits(config))
         self._losses, self._decoder = losses, decoder
         self._left, self._left_of = losses.entries, dict(losses.streams)  # remaining declared losses
         self._report = VerifyReport()
@@ -195,6 +207,24 @@ class _Verifier:
         """Process what came before the start."""
         for group in input_groups(prologue):
             self._session.restored(group.input, group.outputs)
+
+    @property
+    def settled_at(self) -> int | None:
+        """Number of the last entry, if no output of it is expected any more; None before the first entry, too."""
+        return None if self._expected else self._last
+
+    def took(self, inputs: int, outputs: int, cause: int, last: int) -> None:
+        """Take over entries that follow the last one, whose outputs are equal to those of compiled streams.
+
+        Args:
+            inputs, outputs: their number.
+            cause, last: number of the last input, and of the last entry.
+        """
+        self._report.inputs += inputs
+        self._report.compiled += inputs
+        self._report.outputs += outputs
+        self._report.equal += outputs
+        self._cause, self._last, self._gap = cause, last, False
 
     def take(self, entry: Entry) -> None:
         """Process the next entry of the recording."""

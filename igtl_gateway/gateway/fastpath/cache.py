@@ -146,9 +146,7 @@ class FastPath:
                 else:
                     entries = to_ros(seq, stamp_ns, payload, links, ask, made if stream is to_ros else None)
                 if entries is None:
-                    if to_ros.passed >= WORTH:
-                        self._compiled[device_key] = self._compiled.get(device_key, 1) - 1
-                    self._drop(self.to_ros, device_key)
+                    self._drop_device(device_key, to_ros)
                 elif native and entries:
                     native.handled(device_key, to_ros)
         if native and not entries:
@@ -236,6 +234,33 @@ class FastPath:
         self._learned.pop(key, None)
         if self.native:
             self.native.drop(key)
+
+    def _drop_device(self, key: ToRosKey, stream: CompiledToRos) -> None:
+        if stream.passed >= WORTH:
+            self._compiled[key] = self._compiled.get(key, 1) - 1
+        self._drop(self.to_ros, key)
+
+    def drop_misfit(self, entry: Entry) -> None:
+        """Drop the compiled stream of a recorded input that does not fit it, as `take` does."""
+        if entry.kind is Kind.ROS_IN:
+            if (topic := (entry.channel, entry.type)) in self.to_igtl:
+                self._drop(self.to_igtl, topic)
+        elif stream := self.to_ros.get(key := to_ros_key(entry.links[0], entry.payload[0])):
+            if stream.left(entry.payload, None) is None:
+                self._drop_device(key, stream)
+
+    def offer(self, entry: Entry) -> None:
+        """Let the native passage copy the compiled stream of a recorded input that took the full path."""
+        if self.native is None:
+            return
+        if entry.kind is Kind.ROS_IN:
+            topic = entry.channel, entry.type
+            if to_igtl := self.to_igtl.get(topic):
+                self.native.handled(topic, to_igtl)
+        elif entry.kind is Kind.IGTL_IN and entry.links and entry.size >= HEADER_SIZE:
+            key = to_ros_key(entry.links[0], entry.payload[0])
+            if to_ros := self.to_ros.get(key):
+                self.native.handled(key, to_ros)
 
     def learn(self, entry: Entry, outcome: Outcome) -> None:
         """Compile the stream of a message that took the full path, if possible."""

@@ -6,6 +6,7 @@
 
 #include "../_turns.h"
 #include "_compiled.h"
+#include "_recheck.h"
 
 #define MAX_TURNS 64 /* of subscriptions, at once */
 
@@ -294,6 +295,7 @@ static PyMethodDef passage_methods[] = {
     {"to_ros_bulk", (PyCFunction)passage_to_ros_bulk, METH_VARARGS, "As to_ros, of bulk, such as strings and pictures, whose last one is kept."},
     {"to_igtl_bulk", (PyCFunction)passage_to_igtl_bulk, METH_VARARGS, "As to_igtl, of bulk."},
     {"to_igtl", (PyCFunction)passage_to_igtl, METH_VARARGS, "Add the stream of a subscription; with the sequence lock."},
+    {"recheck", (PyCFunction)passage_recheck, METH_VARARGS, "Compare recorded outputs with those of compiled streams."},
     {"use_rcl", (PyCFunction)passage_use_rcl, METH_VARARGS, "Set the addresses of take, publish and count of subscribers."},
     {"record_into", (PyCFunction)passage_record_into, METH_VARARGS, "Put entries into the queue of a recorder."},
     {"set_callback", (PyCFunction)passage_set_callback, METH_VARARGS, "Let rcl call the passage for a subscription, or no more."},
