@@ -12,6 +12,7 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway_lab.bench import offline, recordings
 from igtl_gateway_lab.bench.processes import BenchError
 from igtl_gateway_lab.bench.works import WORKS, WorkContext
+from tools.evidence.offline_table import BEGIN, END, PAGE, with_table
 
 
 @pytest.mark.parametrize(("name", "least"), [("small", 4_000), ("pictures", 50), ("mixed", 100)])
@@ -49,3 +50,11 @@ def test_a_verb_that_fails_is_an_error(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(offline, "_JOBS", (offline.Job("info", "A", "info {file}.absent"),))
     with pytest.raises(BenchError, match=r"info .*: exit code 2"):
         offline.measure(tmp_path, 0.2, SystemClock(), lambda _line: None)
+
+
+def test_the_table_replaces_the_one_of_the_page() -> None:
+    page = f"before\n{BEGIN}old\n{END}after\n"
+    written = with_table(page, "| a |\n|---|\n\nload 1\n", "`bench` at abc;")
+    assert written == f"before\n{BEGIN}\n`bench` at abc;\nload 1\n\n| a |\n|---|\n\n{END}after\n"
+    assert with_table(written, "| a |\n|---|\n\nload 1\n", "`bench` at abc;") == written
+    assert PAGE.read_text("utf-8").count(BEGIN) == 1
