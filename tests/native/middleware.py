@@ -11,7 +11,7 @@ from typing import Any
 
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import RosError
-from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.qos import Endpoint, Qos
 from igtl_gateway.edges.interface import TopicCounts
 from igtl_gateway.edges.ros.receiver import NativeReceiver
 from igtl_gateway.edges.ros.subscribing import message_callback
@@ -231,6 +231,10 @@ class RosEdge:
         self.publish(order.topic, order.type, order.cdr, order.qos)
         self._written_ns[order.topic] = clock.monotonic_ns()
         return None
+
+    def endpoints(self) -> list[Endpoint]:
+        """There is no graph."""
+        return []
 
     def has_subscriber(self, topic: str) -> bool:
         return self.middleware.subscribers.get(topic, 1) > 0
