@@ -29,13 +29,13 @@ from igtl_gateway.base.version import __version__
 from igtl_gateway.cli import main as igtl_gateway
 from igtl_gateway.record.sessionfile import writer
 from igtl_gateway.record.sessionfile.reader import SessionFile
-from igtl_gateway_lab.cli import simulate
+from igtl_gateway_lab.cli import simulate_run
 
 ROOT = Path(__file__).parents[1]
 FIXTURES = ROOT / "fixtures"
 _COMMAND = re.compile(r"^ {4}((?:\w+=\S+ )*)igtl-gateway (.* -o fixtures/(\S+)\.mcap .*)$", re.MULTILINE)
 #: The modules that write the version into a recording.
-_STATING = (writer, simulate)
+_STATING = (writer, simulate_run)
 #: The content of a recording; all other records contain positions in the file.
 _CONTENT = (Header, Schema, Channel, Message, Metadata, Attachment)
 

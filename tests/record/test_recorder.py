@@ -699,11 +699,13 @@ from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import Selection
 from tests.record import samples
+from tests.record.notes import LATENESS
 from tests.record.test_recorder import noise, workers
 notes, failed = [], threading.Event()
 def on_note(note):
-    notes.append(note.code)
-    failed.set()
+    if note.code not in LATENESS:
+        notes.append(note.code)
+        failed.set()
 path, clock = Path(sys.argv[1]), SystemClock()
 recorder = Recorder(path, samples.SESSION, qos_of=lambda topic, type: None, on_note=on_note, clock=clock)
 (worker,) = workers(os.getpid())

@@ -25,7 +25,7 @@ _SCHEMA = re.compile(rb'"@schema"\s*:\s*"[^"]*markups-schema|"markups"\s*:\s*\['
 _FIRST_SCHEMA = re.compile(r"markups-schema-v1(?![0-9])")
 #: Versions of ``.fcsv``: those of 3D Slicer, of which 4 has begun with them.
 _FCSV_VERSIONS = ("4", "5")
-_NUMBER = re.compile("[0-9]+")
+_NUMBER = re.compile("[0-9]{1,18}")
 _SPACES = {"LPS": -1.0, "RAS": 1.0, "1": -1.0, "0": 1.0}
 _DEFINED = "defined"
 _COLUMNS = ("id", "x", "y", "z", "ow", "ox", "oy", "oz", "vis", "sel", "lock", "label", "desc", "associatedNodeID")

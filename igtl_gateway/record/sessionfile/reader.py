@@ -19,7 +19,6 @@ from tempfile import TemporaryFile
 from types import TracebackType
 from typing import IO
 
-import numpy as np
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
@@ -245,24 +244,6 @@ class SessionFile:
         if self.format_version != layout.FORMAT_VERSION:
             raise Unfit
         return self._columns(start_ns, end_ns, wanted)
-
-    def read_through(self) -> None:
-        """Read and decode all entries.  Raises as `entries`."""
-        try:
-            found = self.columns()
-        except Unfit:
-            for _ in self.entries():
-                pass
-            return
-        for columns in found:
-            columns.wire()
-            for row in np.flatnonzero(columns.of(lambda stream: stream.kind in layout.NOTE_KINDS)).tolist():
-                columns.entry(row)
-
-    def ends(self) -> list[tuple[int, int]]:
-        """Times (UTC ns, the end not included) of the first and of the last chunk."""
-        chunks = sorted((chunk.start_ns, chunk.end_ns) for chunk in self._index.chunks)
-        return [(start, end + 1) for start, end in dict.fromkeys((chunks[0], chunks[-1]))] if chunks else []
 
     def _columns(self, start_ns: int, end_ns: int, wanted: Callable[[Stream], bool]) -> Iterator[EntryColumns]:
         streams = {number: Stream(*each, self._index.channels[number].topic) for number, each in self._streams.items()}

@@ -20,6 +20,7 @@ from tempfile import TemporaryFile
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
 from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from rosbags.highlevel import AnyReader
@@ -27,6 +28,7 @@ from rosbags.highlevel import AnyReader
 from igtl_gateway.base.errors import DamagedRecording, GatewayError, LimitExceeded
 from igtl_gateway.base.version import __version__
 from igtl_gateway.record.sessionfile import facts, layout
+from igtl_gateway.record.sessionfile.columns import Unfit
 from igtl_gateway.record.sessionfile.compression import Compression
 from igtl_gateway.record.sessionfile.copying import CopyWriter
 from igtl_gateway.record.sessionfile.merged import MERGE_METADATA, parse_merge
@@ -299,6 +301,20 @@ def _origin(file: Salvage) -> dict[str, Any]:
 # -- reading it again ------------------------------------------------------------------------------------------------
 
 
+def _read_through(file: SessionFile) -> None:
+    """Read and decode all entries.  Raises as `SessionFile.entries`."""
+    try:
+        found = file.columns()
+    except Unfit:
+        for _ in file.entries():
+            pass
+        return
+    for columns in found:
+        columns.wire()
+        for row in np.flatnonzero(columns.of(lambda stream: stream.kind in layout.NOTE_KINDS)).tolist():
+            columns.entry(row)
+
+
 def _check(place: Path, file: Salvage) -> Iterator[str]:
     """Read the new file with every reader; yield why rosbags does not, which needs CDR and definitions of its own.
 
@@ -308,10 +324,10 @@ def _check(place: Path, file: Salvage) -> Iterator[str]:
         again.prologue()
         for _ in again.attachments():
             pass
-        again.read_through()
+        _read_through(again)
         damaged = again.damaged_indexes()
-        reads_all = not file.report.whole or file.report.messages <= _READ_BY_ALL
-        windows: list[tuple[int | None, int | None]] = [(None, None)] if reads_all else list(again.ends())
+    reads_all = not file.report.whole or file.report.messages <= _READ_BY_ALL
+    windows: list[tuple[int | None, int | None]] = [(None, None)]
     if damaged:
         raise DamagedRecording(f"{file.path}: found damaged indexes of {damaged} chunks in the new file")
     try:
@@ -325,6 +341,9 @@ def _check(place: Path, file: Salvage) -> Iterator[str]:
                         pass
                 summary = reader.get_summary()
                 count = summary.statistics.message_count if summary and summary.statistics else 0
+                chunks = summary.chunk_indexes if summary else []
+                spans = sorted((chunk.message_start_time, chunk.message_end_time + 1) for chunk in chunks)
+                windows = [*spans[:1], *spans[1:][-1:]]
             for _ in (*reader.iter_metadata(), *reader.iter_attachments()):
                 pass
     except Exception as error:  # the library has no common class of errors

@@ -12,7 +12,7 @@ from igtl_gateway.addons.cohort.jobs import run_job
 from igtl_gateway.base.clock import process_ns
 from igtl_gateway.base.errors import LimitExceeded
 from igtl_gateway.base.untrusted import cpu_time, files, limits
-from igtl_gateway.cli import decode, main
+from igtl_gateway.cli import decode_run, main
 from igtl_gateway.cli.verbs import available
 from igtl_gateway.convert import clouds
 from tests.costly import polydata_of_attributes
@@ -70,7 +70,7 @@ def test_a_verb_ends_inside_of_an_endless_step(
     words = WORDS[verb].format(file=file, out=tmp_path / "out.mcap", folder=tmp_path / "out")
     before = sorted(tmp_path.iterdir())
     monkeypatch.setattr(files, "size_of", endless)
-    monkeypatch.setattr(decode, "_source", endless)
+    monkeypatch.setattr(decode_run, "_source", endless)
     code = main([verb, *words.split(), "--limit", "seconds=1"])
     told = capsys.readouterr()
     own = [line for line in told.err.splitlines() if "the new spelling" not in line]
