@@ -100,7 +100,7 @@ def from_ros(rng: random.Random, here: Scene, number: int) -> None:
 
 def test_foreign_bytes_end_their_message_or_their_link(monkeypatch: pytest.MonkeyPatch) -> None:
     rng, valid, native = random.Random(SEED), messages(), 0
-    with scene(monkeypatch, stays=False) as here:
+    with scene(monkeypatch) as here:
         peer = Peer(here.bridge.addresses[0])
         is_open = False
         for number in range(ROUNDS):

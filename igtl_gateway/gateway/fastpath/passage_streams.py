@@ -6,6 +6,7 @@ the subscription that it comes from, and the publishers or the links that it goe
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -46,6 +47,8 @@ _POSE_FORM = 3
 
 #: Streams of a slice: each takes 10 to 20 µs.
 _SLICE = 4
+#: Removed streams that are kept for their last message: more are not removed between two looks at the counts.
+_MOST_LEAVING = 100
 
 #: Why a stream has no copy.
 _BY_PYTHON = "Python has the connection, as with TLS"
@@ -87,6 +90,11 @@ class _Copy:
         self.native = native
         self.channel = channel
         self.ros_type = ros_type
+
+    @property
+    def is_large(self) -> bool:
+        """Its messages are counted when they pass, and given to the links without the sequence lock."""
+        return isinstance(self.compiled, CompiledToIgtl) and not self.compiled.is_pose
 
 
 class _Guards:
@@ -151,6 +159,9 @@ class PassageStreams:
         self._later = Publisher(0)
         self._later.leave()
         self._copies: dict[Key, _Copy] = {}
+        # removed ones, whose last message may be on its way to the links, until they were collected twice
+        self._left: deque[_Copy] = deque()
+        self._leaving: deque[_Copy] = deque(maxlen=_MOST_LEAVING)
         self._depending: dict[Key, CompiledToRos] = {}  # those with a copy that has to be left to Python at times
         self._guards = _Guards()
         self._tries: dict[Key, int] = {}  # messages that Python has passed since the streams were compiled
@@ -179,8 +190,11 @@ class PassageStreams:
 
     def collect_all(self) -> None:
         for copy in self._copies.values():
-            if copy.native.received:
+            if copy.native.received or copy.is_large:
                 self._collect(copy)
+        for copy in (*self._left, *self._leaving):
+            self._collect(copy)
+        self._left, self._leaving = self._leaving, deque(maxlen=_MOST_LEAVING)
         self._guards.collect_all()
 
     def slices(self) -> list[tuple[Key, ...]]:
@@ -257,6 +271,8 @@ class PassageStreams:
                 self._copy(key, stream)
         finally:  # after the copy: a message that comes meanwhile waits for it, and does not go to Python
             old.native.remove()
+        if old.is_large:
+            self._leaving.append(old)
 
     def drop_all(self) -> None:
         for key in list(self._copies):
@@ -345,9 +361,13 @@ class PassageStreams:
     def _collect(self, copy: _Copy) -> None:
         """Take over the counts of a stream, its latest message, and the state of its guard."""
         received, converted, unheard, sent, ignored, latest = copy.native.collect()
+        compiled = copy.compiled
+        if isinstance(compiled, CompiledToIgtl):  # a large message is counted first, and then given to the links
+            for (output, _, _), left in zip(compiled.outputs, ignored, strict=True):
+                if left:
+                    self._edges.ignore(output.channel, left)
         if not received:
             return
-        compiled = copy.compiled
         counts = {"received": received, CONVERTED: converted, UNSUBSCRIBED: unheard}
         if isinstance(compiled, CompiledToRos):
             counts["decoded"] = received
@@ -357,10 +377,8 @@ class PassageStreams:
             self._on_passed(Kind.ROS_OUT, sum(sent))
             compiled.has_passed(received, Passed(*latest, (copy.link,)) if latest else None)
         else:
-            for (output, links, counter), number, left in zip(compiled.outputs, sent, ignored, strict=True):
+            for (_, links, counter), number in zip(compiled.outputs, sent, strict=True):
                 _add(counter, {"sent": number * links})
-                if left:
-                    self._edges.ignore(output.channel, left)
             if latest:
                 seq, stamp_ns, source_ns, cdr, _ = latest
                 for peer in compiled.peers:
