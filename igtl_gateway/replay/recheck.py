@@ -3,8 +3,8 @@
 The compiled streams of the fast path, as the native passage has them, compute the outputs of a run of inputs and
 compare them with the recorded ones in place, without an object per entry.  The full path, which `verify` is, computes
 
-* what is not compiled, and what a compiled stream does not fit, such as the first messages of each stream, links,
-  notes, settings, and everything after which streams are compiled again;
+* inputs that no compiled stream takes: the first messages of each stream, messages of another form, links, notes,
+  settings, and everything after which streams are compiled again;
 * what the guard has to judge, and whatever is not recorded as expected: it alone states what differs;
 * a sample: the last input of each channel of a file, and one of `EVERY`, chosen by entry number.
 
@@ -13,7 +13,7 @@ If anything differs, the result is that of the full path for the whole recording
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from igtl_gateway.gateway.core import Gateway
 from igtl_gateway.gateway.fastpath.passage_streams import PassageStreams
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.native.passage import Link, Lock, Passage, Publisher, Subscription, is_compiled
-from igtl_gateway.record.sessionfile.columns import EntryColumns, Stream
+from igtl_gateway.record.sessionfile.columns import EntryColumns, Stream, WireHead
 from igtl_gateway.replay.compare import LeafDecoder
 from igtl_gateway.replay.verify import DeclaredLosses, Verifier, VerifyReport
 
@@ -117,7 +117,15 @@ class _Names:
     def __init__(self, edges: _Edges) -> None:
         self._edges = edges
         self._numbers: dict[_Name, int] = {}
-        self.sources: tuple[Link | Subscription | None, ...] = ()
+        self._sources: list[Link | Subscription | None] = []
+        self._as_tuple: tuple[Link | Subscription | None, ...] = ()
+
+    @property
+    def sources(self) -> tuple[Link | Subscription | None, ...]:
+        """Where the inputs of each stream come from, by number."""
+        if len(self._as_tuple) < len(self._sources):
+            self._as_tuple = tuple(self._sources)
+        return self._as_tuple
 
     def number(self, kind: Kind, channel: str, type_name: str, links: tuple[int, ...]) -> int:
         name = kind, channel, type_name, links
@@ -128,7 +136,7 @@ class _Names:
                 source = self._edges.link(links[0])
             elif kind is Kind.ROS_IN:
                 source = self._edges.subscription(channel, type_name)
-            self.sources = (*self.sources, source)
+            self._sources.append(source)
         return self._numbers[name]
 
 
@@ -149,6 +157,7 @@ class Checker:
         )
         self._fast_path.native = self._streams
         self._of_channel: tuple[Mapping[int, Stream], npt.NDArray[np.int32]] | None = None
+        self._heads: Sequence[WireHead] = ()
         self._of_head = np.zeros((0, 2), np.int32)
 
     def collect(self) -> None:
@@ -206,25 +215,29 @@ class Checker:
         idents = self._channel_idents(columns.streams)[columns.channels]
         sources, begins, ends = columns.source_times(), columns.begins.copy(), columns.ends.copy()
         if len(wire):
-            self._learn_heads([(head.channel, head.type, head.links) for head in wire.known[len(self._of_head) :]])
+            self._learn_heads(wire.known)
             idents[wire.rows] = self._of_head[wire.heads, wire.outgoing.astype(np.intp)]
             sources[wire.rows], begins[wire.rows], ends[wire.rows] = wire.source_times, wire.begins, wire.ends
         columns_of = (idents, columns.numbers, columns.times, sources, begins, ends, self._sample(columns))
         return columns.data, *map(np.ascontiguousarray, columns_of)
 
     def _channel_idents(self, streams: Mapping[int, Stream]) -> npt.NDArray[np.int32]:
-        """MCAP channel → number of the stream of ROS; also notices that another file has begun."""
+        """MCAP channel → number of the stream of ROS."""
         if self._of_channel is None or self._of_channel[0] is not streams:
             found = np.full(_CHANNELS, _NO_STREAM, np.int32)
             for number, stream in streams.items():
                 if stream.kind in (Kind.ROS_IN, Kind.ROS_OUT):
                     found[number] = self._names.number(stream.kind, stream.channel, stream.type, ())
             self._of_channel = streams, found
-            self._of_head = np.zeros((0, 2), np.int32)
         return self._of_channel[1]
 
-    def _learn_heads(self, heads: Iterable[tuple[str, str, tuple[int, ...]]]) -> None:
-        new = [[self._names.number(kind, *head) for kind in (Kind.IGTL_IN, Kind.IGTL_OUT)] for head in heads]
+    def _learn_heads(self, heads: Sequence[WireHead]) -> None:
+        if heads is not self._heads:  # another file, or one with so many that they are numbered anew
+            self._heads, self._of_head = heads, np.zeros((0, 2), np.int32)
+        new = [
+            [self._names.number(kind, head.channel, head.type, head.links) for kind in (Kind.IGTL_IN, Kind.IGTL_OUT)]
+            for head in heads[len(self._of_head) :]
+        ]
         if new:
             self._of_head = np.concatenate((self._of_head, np.array(new, np.int32)))
 

@@ -16,6 +16,7 @@ from igtl_gateway.gateway import Session, make_core
 from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
 from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos
 from igtl_gateway.native.passage import is_compiled
+from igtl_gateway.record.sessionfile import columns
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.recheck import EVERY, Checker, is_sampled
 from igtl_gateway.replay.recorded_config import config_to_run
@@ -49,8 +50,8 @@ def test_a_random_session_has_the_same_result_and_ledger(seed: int, tmp_path: Pa
             session.recorded(entry)
     with SessionFile.open(path) as file:
         checker = Checker(Verifier(config_to_run(file.session, None), DeclaredLosses(), None, compiles=True), {})
-        for columns in file.columns():
-            checker.take(columns)
+        for some in file.columns():
+            checker.take(some)
         checker.collect()
         assert checker.verifier.core.ledger.to_dict() == core.ledger.to_dict()
         checker.close()
@@ -64,6 +65,21 @@ def test_a_change_in_the_recording_is_found_with_the_same_words(change: str, see
     changed = CHANGES[change](entries, chance)
     quick, reference = both(written(tmp_path / "a.mcap", config, changed))
     assert judged(quick) == judged(reference)
+
+
+@table("change", ["", "link of an input", "links of an output"])
+@table("seed", range(4))
+def test_heads_that_are_numbered_anew_are_not_mixed_up(
+    change: str, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file with many heads: those of the chunks before are forgotten, and their numbers stand for others."""
+    monkeypatch.setattr(columns, "_LEARNED_HEADS", 1)
+    chance = random.Random(f"{change} {seed}")
+    config, entries = random_session(chance)
+    changed = CHANGES[change](entries, chance) if change else entries
+    quick, reference = both(written(tmp_path / "a.mcap", config, changed, chunk_bytes=2_000))
+    assert judged(quick) == judged(reference)
+    assert change or quick.compiled > quick.inputs // 3
 
 
 def test_a_change_in_the_code_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
