@@ -49,6 +49,8 @@ class Job:
     other: str = ""
 
 
+#: The row of the replay, which no other program has.
+_REPLAY = "replay --to igtl, A"
 _JOBS = (
     Job("info", "ABC", "info {file}", f"{_PYMCAP} info {{file}}"),
     Job("verify", "ABC", "verify {file}"),
@@ -79,6 +81,11 @@ class _Spent:
             f"{before}wall_s": round(self.wall_s, 2),
             f"{before}peak_mb": round(self.peak_mb, 1),
         }
+
+
+def streams() -> list[str]:
+    """The names of the rows: a verb and a recording."""
+    return [*(f"{job.verb}, {name}" for job in _JOBS for name in job.files), _REPLAY]
 
 
 def measure(folder: Path, duration_s: float, clock: Clock, print_status: Callable[[str], None]) -> list[Row]:
@@ -210,7 +217,7 @@ def _replayed(recording: _Recording, clock: Clock) -> Row:
         reader.join(_ENDS_S)
     seconds = (arrived.last_ns - arrived.first_ns) / NS_PER_S
     messages = arrived.bytes // len(transform().igtl_maker("")(0))
-    row: Row = {"case": "offline", "stream": f"replay --to igtl, {recording.name}", "entries": recording.entries}
+    row: Row = {"case": "offline", "stream": _REPLAY, "entries": recording.entries}
     return row | taken.row() | {"sent_per_s": round(messages / seconds) if seconds else None}
 
 

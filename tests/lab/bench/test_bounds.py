@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from igtl_gateway_lab.bench import offline
 from igtl_gateway_lab.bench.bounds import BOUNDS, shown, with_verdict
 from igtl_gateway_lab.bench.cases import CASES
 from igtl_gateway_lab.bench.figures import Row
@@ -70,10 +71,13 @@ def test_nothing_arrived_and_what_is_no_passage() -> None:
 
 
 def test_every_row_of_the_table_is_for_some_case() -> None:
+    names = [
+        (name, kind.kind)
+        for name, case in (*CASES.items(), *((name, CASES["transform"]) for name in WORKS))
+        for kind in case.streams
+    ]
+    names += [("offline", stream) for stream in offline.streams()]
     for bound in BOUNDS:
         assert any(
-            bound.concerns(row(name, rate, stream=kind.kind))
-            for name, case in (*CASES.items(), *((name, CASES["transform"]) for name in WORKS))
-            for kind in case.streams
-            for rate in (None, 30.0, 1000.0)
+            bound.concerns(row(name, rate, stream=stream)) for name, stream in names for rate in (None, 30.0, 1000.0)
         ), bound
