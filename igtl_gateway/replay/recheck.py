@@ -232,7 +232,7 @@ class Checker:
         return self._of_channel[1]
 
     def _learn_heads(self, heads: Sequence[WireHead]) -> None:
-        if heads is not self._heads:  # another file, or one with so many that they are numbered anew
+        if heads is not self._heads:  # another file, or one with so many that its numbers begin again
             self._heads, self._of_head = heads, np.zeros((0, 2), np.int32)
         new = [
             [self._names.number(kind, head.channel, head.type, head.links) for kind in (Kind.IGTL_IN, Kind.IGTL_OUT)]

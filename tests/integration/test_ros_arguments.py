@@ -62,7 +62,7 @@ def test_a_bridge_is_a_node_like_any_other(tmp_path: Path) -> None:
 
             room.wait_until(lambda: any(map(is_denied, room.received("/rosout"))), "line of the log")
             lines = room.received("/rosout")
-            # the level hides what is no warning
+            # the log level hides messages below WARN
             assert {(line["level"], line["name"]) for line in lines} == {(30, "or1.gw")}
         assert bridge.end().code == 0
         assert bool(bridge.events[-1].get("native_times")) is is_compiled()

@@ -69,7 +69,7 @@ def test_a_change_in_the_recording_is_found_with_the_same_words(change: str, see
 
 @table("change", ["", "link of an input", "links of an output"])
 @table("seed", range(4))
-def test_heads_that_are_numbered_anew_are_not_mixed_up(
+def test_heads_that_are_numbered_again_are_not_mixed_up(
     change: str, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A file with many heads: those of the chunks before are forgotten, and their numbers stand for others."""

@@ -372,7 +372,7 @@ class SceneSource(NonRosSource):
             )
 
     def _note_version(self, root: Element, where: str) -> None:
-        """Add a note on the version of a scene that is not known: it may have what is not seen here."""
+        """Add a note if the scene is of a version that this program does not know: it may miss a part of it."""
         version = root.attributes.get("version", "")
         found = _VERSION.fullmatch(version)
         if version and not (found and (int(found[1]), int(found[2] or 0)) <= _NEWEST):

@@ -141,7 +141,7 @@ class SceneReading:
         rate: most messages of a stream in a second; 0: as many as 3D Slicer reads in reasonable time.
         store: where files go.
         direct: the stream of pictures that goes straight into the store: its channel; ``""``: none.
-        only_pictures: what is not one is left out.
+        only_pictures: read pictures, and no other messages.
         in_parts: ``read`` stops where a scene is full; else it raises NeedsParts.
 
     Attributes:

@@ -129,7 +129,7 @@ def _report(options: argparse.Namespace, path: Path, view: SessionView, facts: d
 
 @contextmanager
 def _folder() -> Iterator[Path]:
-    """A folder for what is not kept."""
+    """A temporary folder, which is deleted at the end."""
     try:
         folder = tempfile.TemporaryDirectory(prefix="igtl-view-", ignore_cleanup_errors=True)
     except OSError as error:

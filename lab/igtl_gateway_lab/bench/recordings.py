@@ -105,15 +105,7 @@ def _played(config: Config, inputs: Iterable[ScenarioInput]) -> Iterator[Entry]:
     for given in inputs:
         while gateway.due_ns is not None and gateway.due_ns <= given.time_ns:
             yield from session.input(gateway.due_ns, Kind.EDGE_NOTE, tick)
-        yield from session.input(
-            given.time_ns,
-            given.kind,
-            (given.payload,),
-            channel=given.channel,
-            type_name=given.type,
-            links=(given.link,) if given.link else (),
-            source_ns=given.source_ns,
-        )
+        yield from given.entries(session)
 
 
 def _begin() -> Iterator[ScenarioInput]:

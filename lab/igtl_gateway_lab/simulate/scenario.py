@@ -39,6 +39,18 @@ class ScenarioInput:
     link: int = 0
     source_ns: int = 0
 
+    def entries(self, session: Session) -> list[Entry]:
+        """Return its entry in the log of a session, followed by the entries that it causes."""
+        return session.input(
+            self.time_ns,
+            self.kind,
+            (self.payload,),
+            channel=self.channel,
+            type_name=self.type,
+            links=(self.link,) if self.link else (),
+            source_ns=self.source_ns,
+        )
+
 
 Inputs = Callable[[float | None], Iterable[ScenarioInput]]
 #: The actors of a story of the given number of seconds (None: its own length), new with each call.
@@ -89,15 +101,7 @@ class Scenario:
             return
         session = Session(gateway or Gateway(self.config))
         for given in self.inputs(duration_s):
-            yield from session.input(
-                given.time_ns,
-                given.kind,
-                (given.payload,),
-                channel=given.channel,
-                type_name=given.type,
-                links=(given.link,) if given.link else (),
-                source_ns=given.source_ns,
-            )
+            yield from given.entries(session)
 
 
 def merge_inputs(*sources: Iterable[ScenarioInput]) -> Iterator[ScenarioInput]:
