@@ -161,6 +161,7 @@ class BridgePassage:
     def collect(self) -> None:
         """Take over what was counted natively, in slices: messages pass in between."""
         with self._passage:
+            self.streams.collect_removed()
             slices = self.streams.slices()
         for keys in slices:
             with self._passage:

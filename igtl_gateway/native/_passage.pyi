@@ -11,6 +11,9 @@ class Stream:
 
     received: int
     is_stale: bool
+    @property
+    def is_in_use(self) -> bool:
+        """Whether a message is being given to the links: then what they ignore may still be counted."""
     def remove(self) -> None: ...
     def collect(
         self,

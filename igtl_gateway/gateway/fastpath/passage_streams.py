@@ -6,7 +6,6 @@ the subscription that it comes from, and the publishers or the links that it goe
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -47,8 +46,6 @@ _POSE_FORM = 3
 
 #: Streams of a slice: each takes 10 to 20 µs.
 _SLICE = 4
-#: Removed streams that are kept for their last message: more are not removed between two looks at the counts.
-_MOST_LEAVING = 100
 
 #: Why a stream has no copy.
 _BY_PYTHON = "Python has the connection, as with TLS"
@@ -95,6 +92,11 @@ class _Copy:
     def is_large(self) -> bool:
         """Its messages are counted when they pass, and given to the links without the sequence lock."""
         return isinstance(self.compiled, CompiledToIgtl) and not self.compiled.is_pose
+
+    @property
+    def may_have_counts(self) -> bool:
+        """What a link ignores of a large message may be all that is new."""
+        return bool(self.native.received) or self.is_large
 
 
 class _Guards:
@@ -159,9 +161,7 @@ class PassageStreams:
         self._later = Publisher(0)
         self._later.leave()
         self._copies: dict[Key, _Copy] = {}
-        # removed ones, whose last message may be on its way to the links, until they were collected twice
-        self._left: deque[_Copy] = deque()
-        self._leaving: deque[_Copy] = deque(maxlen=_MOST_LEAVING)
+        self._removed: list[_Copy] = []  # whose last message may still be on its way to the links
         self._depending: dict[Key, CompiledToRos] = {}  # those with a copy that has to be left to Python at times
         self._guards = _Guards()
         self._tries: dict[Key, int] = {}  # messages that Python has passed since the streams were compiled
@@ -184,18 +184,24 @@ class PassageStreams:
             self._copy(key, stream)
 
     def collect(self, key: Key, stream: CompiledToRos | CompiledToIgtl) -> None:
-        if (copy := self._copies.get(key)) and copy.native.received:
+        if (copy := self._copies.get(key)) and copy.may_have_counts:
             self._collect(copy)
         self._guards.collect(stream.watched)
 
     def collect_all(self) -> None:
         for copy in self._copies.values():
-            if copy.native.received or copy.is_large:
+            if copy.may_have_counts:
                 self._collect(copy)
-        for copy in (*self._left, *self._leaving):
-            self._collect(copy)
-        self._left, self._leaving = self._leaving, deque(maxlen=_MOST_LEAVING)
+        self.collect_removed()
         self._guards.collect_all()
+
+    def collect_removed(self) -> None:
+        """Take over the counts of removed streams, as long as a message of theirs is on its way."""
+        removed, self._removed = self._removed, []
+        for copy in removed:
+            if copy.native.is_in_use:  # before its counts are taken: those of the end come after it
+                self._removed.append(copy)
+            self._collect(copy)
 
     def slices(self) -> list[tuple[Key, ...]]:
         """Return all streams, a few at a time: `collect_some` of these takes less time than a message may wait."""
@@ -272,7 +278,8 @@ class PassageStreams:
         finally:  # after the copy: a message that comes meanwhile waits for it, and does not go to Python
             old.native.remove()
         if old.is_large:
-            self._leaving.append(old)
+            self.collect_removed()
+            self._removed.append(old)
 
     def drop_all(self) -> None:
         for key in list(self._copies):

@@ -195,6 +195,29 @@ def test_what_a_closed_link_took_no_more_counts_without_a_further_message() -> N
     assert ignored == [("POLYDATA/cloud", 1)]
 
 
+def test_a_removed_stream_is_collected_until_its_last_message_has_been_given_to_all_links() -> None:
+    """However often that is: each message that passes in full collects."""
+    ignored: list[tuple[str, int]] = []
+    uses, counts = [True] * 40 + [False], [0] * 40 + [1]  # the last link ignores it just before the end
+
+    class Native:
+        is_in_use = property(lambda _: uses.pop(0))
+
+        def collect(self) -> tuple[Any, ...]:
+            return 0, 0, 0, (0,), (counts.pop(0),), None
+
+    compiled = object.__new__(CompiledToIgtl)
+    compiled.outputs = ((SimpleNamespace(channel="POLYDATA/cloud"), 1, {}),)  # type: ignore[assignment]
+    streams = object.__new__(passage_streams.PassageStreams)
+    streams._edges = SimpleNamespace(ignore=lambda stream, number: ignored.append((stream, number)))
+    streams._removed = [passage_streams._Copy(compiled, Native(), "/cloud", "")]  # type: ignore[arg-type]
+    for _ in range(50):
+        streams.collect_removed()
+    assert ignored[-1] == ("POLYDATA/cloud", 1)
+    assert not streams._removed
+    assert not counts
+
+
 def transform(number: float, stamp_ns: int | None = None, device: str = "ToolToBase", version: int = 1) -> bytes:
     stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
     content = Transform((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 10.0 + number, 2.0, 3.0))

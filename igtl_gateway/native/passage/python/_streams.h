@@ -142,11 +142,22 @@ static PyMemberDef stream_members[] = {
     {NULL, 0, 0, 0, NULL},
 };
 
+static PyObject *stream_get_in_use(Stream *self, void *closure)
+{
+    return (void)closure, PyBool_FromLong(__atomic_load_n(&self->is_in_use, __ATOMIC_ACQUIRE));
+}
+
+static PyGetSetDef stream_getset[] = {
+    {"is_in_use", (getter)stream_get_in_use, NULL, "A message is being given to the links; then what they ignore may still be counted.", NULL},
+    {NULL, NULL, NULL, NULL, NULL},
+};
+
 static PyType_Slot stream_slots[] = {
     {Py_tp_doc, "A compiled stream of the native passage."},
     {Py_tp_dealloc, stream_dealloc},
     {Py_tp_methods, stream_methods},
     {Py_tp_members, stream_members},
+    {Py_tp_getset, stream_getset},
     {0, NULL},
 };
 
