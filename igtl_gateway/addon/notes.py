@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from igtl_gateway.gateway.log.fates import REFUSED_DEVICE as REFUSED_DEVICE
     from igtl_gateway.gateway.orders import ORDERS as ORDERS
     from igtl_gateway.gateway.orders import UNWRITTEN as UNWRITTEN
+    from igtl_gateway.record.reports import PAUSED as PAUSED
+    from igtl_gateway.record.reports import RESUMED as RESUMED
     from igtl_gateway.record.triggers import LOSSES as LOSSES
-    from igtl_gateway.record.worker import PAUSED as PAUSED
-    from igtl_gateway.record.worker import RESUMED as RESUMED
 
 HOMES: Homes = (
     # Links and turns of the gateway
@@ -40,7 +40,7 @@ HOMES: Homes = (
     ("gateway.orders", "ORDERS UNWRITTEN"),
     ("record.triggers", "LOSSES"),
     # Pauses of the recording
-    ("record.worker", "PAUSED RESUMED"),
+    ("record.reports", "PAUSED RESUMED"),
 )
 
 __getattr__, __dir__ = at_first_use(__name__, HOMES)

@@ -49,7 +49,7 @@ from igtl_gateway.record.selection import Selection
 
 if TYPE_CHECKING:
     from igtl_gateway.record.recorder import Recorder
-    from igtl_gateway.record.worker import RecordingSummary
+    from igtl_gateway.record.reports import RecordingSummary
 
 #: Longest delay of a ping or a timeout: time from a tick to the next one if its deadline has come and stays.
 _TICK_NS = 50 * NS_PER_MS

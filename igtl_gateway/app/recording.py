@@ -35,7 +35,7 @@ from igtl_gateway.record.selection import StateInputRule
 if TYPE_CHECKING:
     from igtl_gateway.record.admission import Admission
     from igtl_gateway.record.recorder import Recorder
-    from igtl_gateway.record.worker import RecordingSummary
+    from igtl_gateway.record.reports import RecordingSummary
 
 TYPE = "std_srvs/srv/Trigger"
 START, STOP = "~/start_recording", "~/stop_recording"

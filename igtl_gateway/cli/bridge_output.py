@@ -32,7 +32,7 @@ from igtl_gateway.wire.registry import BODIES
 if TYPE_CHECKING:
     from igtl_gateway.app.metrics import MetricsServer
     from igtl_gateway.record.recorder import Recorder
-    from igtl_gateway.record.worker import RecordingSummary
+    from igtl_gateway.record.reports import RecordingSummary
 
 #: Level of a note → priority in the journal.
 _PRIORITIES = {Level.INFO: service.INFO, Level.WARN: service.WARNING, Level.ERROR: service.ERROR}

@@ -25,10 +25,11 @@ from igtl_gateway.base.clock import Clock, SystemClock
 from igtl_gateway.base.systems.processes import lower_priority, processor_times, set_session_niceness
 from igtl_gateway.base.systems.signals import ignore_endings
 from igtl_gateway.base.versions import python_command
+from igtl_gateway.record.bridge_end import WorkerPipe
 from igtl_gateway.record.options import LARGEST_BYTES, RecordOptions
 from igtl_gateway.record.pace import Times
 from igtl_gateway.record.shared_queue import QueueReader, QueueWriter, memory, shared_memory
-from igtl_gateway.record.worker import WorkerPipe, WorkerSettings, run_worker
+from igtl_gateway.record.worker import WorkerSettings, run_worker
 
 #: Of the process: that of the bridge.  A lower priority cannot be raised again without privileges, and a recorder that
 #: gets no processor breaks the promise of the flush interval.

@@ -31,11 +31,12 @@ from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.host import Host, in_process
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.pace import DISK, Pace
+from igtl_gateway.record.reports import FAILED, THREAD, RecordingSummary, WorkerState
 from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, StateInputRule
 from igtl_gateway.record.sessionfile.side_file import SIDE_FILE, parts_folder
 from igtl_gateway.record.sessionfile.writer import QosOf
 from igtl_gateway.record.shared_queue import QueueSlot, QueueWriter
-from igtl_gateway.record.worker import FAILED, THREAD, RecordingSummary, WorkerSettings, WorkerState
+from igtl_gateway.record.worker import WorkerSettings
 
 _ENDED = "the recording has ended"
 #: Codes of the notes about a worker that does not come on with what waits, and that does again.

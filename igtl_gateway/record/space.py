@@ -50,6 +50,20 @@ class SpaceWatch:
         self._free, self._until_deleted = free, until_deleted
         self._seen: deque[tuple[int, int, int]] = deque()  # time, written, free
         self._level = self._next_level = self._in_a_row = 0
+        self._looked_ns = 0
+        self._closed_bytes = self._present_bytes = 0  # of the files before the present one, and of that
+
+    def is_due(self, now_ns: int) -> bool:
+        """Return whether it is time for the next look."""
+        return now_ns - self._looked_ns >= LOOK_NS
+
+    def look_at(self, now_ns: int, size: int) -> Note | None:
+        """As ``look``, by the size of the present file: where that is smaller than before, another file has begun."""
+        self._looked_ns = now_ns
+        if size < self._present_bytes:
+            self._closed_bytes += self._present_bytes
+        self._present_bytes = size
+        return self.look(now_ns, self._closed_bytes + size)
 
     def look(self, now_ns: int, written: int) -> Note | None:
         """Return the note that is due; ``written``: bytes of the recording so far, ``now_ns``: monotonic."""

@@ -17,7 +17,7 @@ from igtl_gateway.cli.settings import settled
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.notations import peer_address
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
-from igtl_gateway.record.worker import RecordingSummary
+from igtl_gateway.record.reports import RecordingSummary
 
 
 def parsed(*words: str) -> dict[str, Any]:

@@ -22,9 +22,9 @@ from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.reports import PAUSED, RESUMED, SNAPSHOT
 from igtl_gateway.record.selection import Selection
 from igtl_gateway.record.sessionfile.reader import SessionFile
-from igtl_gateway.record.worker import PAUSED, RESUMED, SNAPSHOT
 from tests.record import samples
 
 DEADLINE_S = 30.0

@@ -26,11 +26,11 @@ from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.reports import FAILED
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.schemas import RosTypes
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.record.triggers import _CONCERNS, _LOOKS, INCOMPLETE, SAVED, TRIGGERED, Triggers
-from igtl_gateway.record.worker import FAILED
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import Status
 from tests.record import samples

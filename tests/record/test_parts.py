@@ -27,9 +27,9 @@ from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.parts import MAX_PER_MINUTE
 from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.reports import RecordingSummary
 from igtl_gateway.record.selection import StateInputRule
 from igtl_gateway.record.sessionfile.reader import SessionFile
-from igtl_gateway.record.worker import RecordingSummary
 from igtl_gateway.replay.verify import DeclaredLosses, verify
 from tests.record import samples
 from tests.record.notes import TimelessNotes

@@ -28,9 +28,8 @@ from igtl_gateway.base.errors import DamagedRecording, RecordingError
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
-from igtl_gateway.record import host
+from igtl_gateway.record import host, reports
 from igtl_gateway.record import recorder as recorder_module
-from igtl_gateway.record import worker as worker_module
 from igtl_gateway.record.host import WorkerHost, in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
@@ -258,7 +257,7 @@ def test_beyond_the_bound_entries_are_dropped_counted_and_noted(path: Path) -> N
     bench.go_on.set()
     bench.wait_notes(1)
     (note,) = bench.notes
-    assert (note.level, note.code, note.data) == (Level.WARN, worker_module.DROPPED, {"dropped": dropped})
+    assert (note.level, note.code, note.data) == (Level.WARN, reports.DROPPED, {"dropped": dropped})
     told = Entry(40, samples.START_NS + 40, Kind.EDGE_NOTE, payload=(note.pack(),))
     bench.recorder(told)
     summary = bench.recorder.close({})
@@ -372,7 +371,7 @@ def test_an_entry_that_the_format_cannot_hold_costs_only_itself(path: Path, bad:
     summary = bench.recorder.close({})
     assert summary.dropped == {bad.channel: 2}
     assert [(note.level, note.code, note.stream) for note in bench.notes] == [
-        (Level.ERROR, worker_module.REFUSED, bad.channel)
+        (Level.ERROR, reports.REFUSED, bad.channel)
     ]
     assert read(path) == [samples.ros(1), samples.ros(3)]
 
@@ -383,7 +382,7 @@ def test_a_type_without_definition_is_recorded_and_noted_once(path: Path) -> Non
     for entry in entries:
         bench.recorder(entry)
     bench.recorder.close({})
-    assert [note.code for note in bench.notes] == [worker_module.UNDEFINED]
+    assert [note.code for note in bench.notes] == [reports.UNDEFINED]
     assert read(path) == entries
 
 
@@ -469,7 +468,7 @@ def test_when_the_worker_is_killed_it_is_told_and_the_process_goes_on(path: Path
     os.kill(worker, signal.SIGKILL)
     wait_until(lambda: bool(notes))
     recorder(samples.igtl(101))
-    assert [note.code for note in notes] == [worker_module.FAILED]
+    assert [note.code for note in notes] == [reports.FAILED]
     assert "the recorder's process has ended: killed by signal 9; the bridge goes on" in notes[0].text
     summary = recorder.close({})
     assert "killed by signal 9" in summary.failure
@@ -645,7 +644,7 @@ def test_where_no_process_is_to_be_had_it_is_a_thread_and_says_so(path: Path, mo
     assert recorder.close({}).entries == 1
     assert [(note.code, note.text) for note in notes] == [
         (
-            worker_module.THREAD,
+            reports.THREAD,
             "no process of the recorder's own (Resource temporarily unavailable): it is a thread of the bridge",
         )
     ]
@@ -736,7 +735,7 @@ def test_when_the_disk_is_full_the_recording_ends_and_the_process_goes_on(path: 
     )  # fmt: skip
     assert done.stderr == ""
     told = json.loads(done.stdout)
-    assert told["notes"] == [worker_module.FAILED]
+    assert told["notes"] == [reports.FAILED]
     assert str(path) in told["failure"]
     assert sum(told["dropped"].values()) + told["entries"] == told["given"]
     entries = list(scanned(path))
@@ -791,7 +790,7 @@ def test_a_defect_in_the_thread_ends_the_recording_not_the_process(path: Path) -
         recorder(samples.ros(seq))
     summary = recorder.close({})
     assert "KeyError" in summary.failure
-    assert [note.code for note in notes] == [worker_module.FAILED]
+    assert [note.code for note in notes] == [reports.FAILED]
     assert summary.entries + sum(summary.dropped.values()) == 5
     assert len(read(path)) == summary.entries  # closed all the same
 
@@ -869,12 +868,12 @@ def test_a_file_that_is_taken_away_ends_the_recording_if_that_is_to_stop(
     bench.recorder(samples.ros(2))
     bench.wait_notes(1)
     (note,) = bench.notes
-    assert (note.level, note.code) == (Level.ERROR, worker_module.FAILED)
+    assert (note.level, note.code) == (Level.ERROR, reports.FAILED)
     assert words in note.text and "the bridge stops" in note.text
     assert words in bench.recorder.failure
     summary = bench.recorder.close({})
     assert words in summary.failure
-    assert (summary.entries, summary.dropped, summary.files) == (0, {worker_module.TAKEN: 2}, ())
+    assert (summary.entries, summary.dropped, summary.files) == (0, {reports.TAKEN: 2}, ())
 
 
 def test_a_folder_that_is_taken_away_ends_the_recording(tmp_path: Path) -> None:
@@ -891,11 +890,11 @@ def test_a_folder_that_is_taken_away_ends_the_recording(tmp_path: Path) -> None:
     bench.recorder(samples.ros(2))
     bench.wait_notes(1)
     (note,) = bench.notes
-    assert note.code == worker_module.FAILED
+    assert note.code == reports.FAILED
     assert "the file was removed" in note.text and "the bridge goes on without recording" in note.text
     summary = bench.recorder.close({})
     assert "there is no folder" in summary.failure
-    assert (summary.entries, summary.dropped, summary.files) == (0, {worker_module.TAKEN: 2}, ())
+    assert (summary.entries, summary.dropped, summary.files) == (0, {reports.TAKEN: 2}, ())
 
 
 @pytest.mark.parametrize("split", [False, True], ids=["one file", "parts"])
@@ -919,7 +918,7 @@ def test_the_next_start_after_a_file_was_taken_away_names_it(tmp_path: Path, spl
     bench.recorder(samples.ros(2))
     summary = bench.recorder.close({})
     (second,) = [path for path in summary.files if path.suffix == ".mcap"]
-    assert (summary.entries, summary.dropped) == (1, {worker_module.TAKEN: 1})
+    assert (summary.entries, summary.dropped) == (1, {reports.TAKEN: 1})
     with SessionFile.open(second) as file:
         assert file.session["previous_part"] == first.name
 
@@ -953,14 +952,14 @@ def test_where_a_file_is_taken_away_the_recording_goes_on_in_the_next(
         bench.recorder(entry)
     (note,) = bench.notes
     second, lost = folder / "session_1.mcap", len(before)
-    assert (note.level, note.code) == (Level.ERROR, worker_module.CONTINUED)
+    assert (note.level, note.code) == (Level.ERROR, reports.CONTINUED)
     assert note.data == {"lost": lost, "path": str(second)}
     told = f"recording to {first} failed: {words}; the recording goes on in {second}"
     assert note.text == f"{told}; {lost} entries were in the file"
     assert (bench.recorder.failure, bench.recorder.counters()["taken_away"]) == ("", told)
     summary = bench.recorder.close({"streams": {}})
     put = [samples.flat(entry) for entry in entries]
-    assert (summary.failure, summary.entries, summary.dropped) == (told, len(put), {worker_module.TAKEN: lost})
+    assert (summary.failure, summary.entries, summary.dropped) == (told, len(put), {reports.TAKEN: lost})
     assert second in summary.files and first not in summary.files
     with SessionFile.open(second) as file:
         assert list(file.entries()) == put
@@ -980,10 +979,10 @@ def test_a_file_that_is_taken_away_before_the_end_has_its_ledger_in_the_next(tmp
     os.truncate(folder / ("session_0.mcap" if split else "session.mcap"), 0)
     summary = bench.recorder.close({"streams": {"a": {}}})
     assert "the file was truncated" in summary.failure
-    assert (summary.entries, summary.dropped) == (0, {worker_module.TAKEN: 1})
+    assert (summary.entries, summary.dropped) == (0, {reports.TAKEN: 1})
     with SessionFile.open(folder / "session_1.mcap") as file:
         assert file.ledger is not None and file.ledger["streams"] == {"a": {}}
-        assert file.ledger["recorder"]["dropped"] == {worker_module.TAKEN: 1}
+        assert file.ledger["recorder"]["dropped"] == {reports.TAKEN: 1}
 
 
 def test_a_folder_of_parts_that_is_taken_away_is_made_again(tmp_path: Path) -> None:
@@ -995,7 +994,7 @@ def test_a_folder_of_parts_that_is_taken_away_is_made_again(tmp_path: Path) -> N
     bench.wait_notes(1)
     second = tmp_path / "session" / "session_1.mcap"
     assert f"was removed; the recording goes on in {second}" in bench.notes[0].text
-    assert bench.recorder.close({}).dropped == {worker_module.TAKEN: 1}
+    assert bench.recorder.close({}).dropped == {reports.TAKEN: 1}
     with SessionFile.open(second) as file:
         assert len(list(file.entries())) == 1
 
@@ -1064,9 +1063,9 @@ def test_a_pause_leaves_out_and_says_how_much(path: Path) -> None:
     assert states == [False, True]
     summary = bench.recorder.close({})
     assert [(note.code, note.data) for note in bench.notes] == [
-        (worker_module.PAUSED, {}),
-        (worker_module.RESUMED, {"left_out": 5}),
-        (worker_module.PAUSED, {}),
+        (reports.PAUSED, {}),
+        (reports.RESUMED, {"left_out": 5}),
+        (reports.PAUSED, {}),
     ]
     assert [entry.seq for entry in read(path)] == [1, 7, 8]
     assert (summary.dropped, summary.left_out) == ({}, {"/chatter": 5})
@@ -1141,12 +1140,12 @@ def test_a_closed_part_that_is_taken_away_is_reported(tmp_path: Path, by: str) -
         return
     (note,) = bench.notes
     told = f"{first}, a closed part, was {by} by another program"
-    assert note.code == worker_module.LOST_PART and note.text.startswith(told)
+    assert note.code == reports.LOST_PART and note.text.startswith(told)
     if by == "removed":  # to another place, perhaps
         assert (note.level, summary.failure, summary.dropped) == (Level.WARN, "", {})
     else:
         assert (note.level, summary.failure) == (Level.ERROR, told)
-        assert summary.dropped == {worker_module.TAKEN: note.data["lost"]}
+        assert summary.dropped == {reports.TAKEN: note.data["lost"]}
     assert first not in summary.files
 
 

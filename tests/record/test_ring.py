@@ -18,9 +18,9 @@ from igtl_gateway.record import host
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.reports import FAILED, SNAPSHOT
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.shared_queue import QueueReader
-from igtl_gateway.record.worker import FAILED, SNAPSHOT
 from igtl_gateway.replay.verify import DeclaredLosses, verify
 from tests.record import samples
 from tests.record.test_parts import RULE, healthy, session

@@ -27,12 +27,12 @@ from igtl_gateway.record import parts, prologue
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.reports import AGAIN, FAILED, STARTED, STOPPED
 from igtl_gateway.record.seal.keys import SigningKey
 from igtl_gateway.record.sessionfile import new_file, stream, writer
 from igtl_gateway.record.sessionfile.new_file import cannot_begin
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.seals import stated_seals
-from igtl_gateway.record.worker import AGAIN, FAILED, STARTED, STOPPED
 from igtl_gateway.replay.verify import DeclaredLosses, verify
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.message import Message, encode

@@ -68,6 +68,16 @@ def test_where_it_is_not_known_nothing_is_said(tmp_path: Path) -> None:
     assert SpaceWatch(lambda: None).look(NS, 1) is None
 
 
+def test_the_files_of_a_recording_count_together_once_a_second() -> None:
+    free = 10**10
+    disk = SpaceWatch(lambda: free)
+    assert disk.is_due(2 * NS)
+    for second, size in enumerate((0, 10**8, 2 * 10**8, 10**8, 2 * 10**8, 3 * 10**8), 2):
+        disk.look_at(second * NS, size)
+        assert not disk.is_due(second * NS + NS - 1) and disk.is_due(second * NS + NS)
+    assert disk.left_s == pytest.approx(100), "5e8 bytes in 5 s: the second file began at 2e8"
+
+
 def test_the_recorder_looks_at_the_disk_of_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _path: _Usage(10**9, 10**9 - 10**6, 10**6))
     notes = TimelessNotes()

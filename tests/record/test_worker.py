@@ -61,7 +61,7 @@ class Hasty:
 
 
 def test_it_is_in_a_hurry_while_much_waits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("igtl_gateway.record.worker._RAISED_NS", 0)  # it was late only once
+    monkeypatch.setattr("igtl_gateway.record.priority._RAISED_NS", 0)  # it was late only once
     told: list[tuple[bool, int]] = []
     calm = threading.Event()
 
@@ -108,7 +108,7 @@ def test_it_is_in_a_hurry_while_much_waits(tmp_path: Path, monkeypatch: pytest.M
 
 def never_late(patch: pytest.MonkeyPatch, folder: Path) -> None:
     """Its process does not look whether it is late, as it is beside other tests, and soon takes back a rank it lost."""
-    lines = "from igtl_gateway.record import worker\nworker._LATE_NS, worker._LOWER_NS = 1 << 62, 0\n"
+    lines = "from igtl_gateway.record import priority\npriority._LATE_NS, priority._LOWER_NS = 1 << 62, 0\n"
     (folder / "sitecustomize.py").write_text(lines)
     patch.syspath_prepend(str(folder))
 
