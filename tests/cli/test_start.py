@@ -8,7 +8,6 @@ import sys
 import pytest
 
 from igtl_gateway.cli.verbs import LABORATORY, available, own_verb
-from igtl_gateway.convert import choices, profiles, table, units
 
 #: Libraries and parts of the program that take longer to import than the help to print.
 HEAVY = (
@@ -37,9 +36,3 @@ def test_the_help_of_a_verb_imports_nothing_heavy(verb: str) -> None:
     found = modules_after(verb, "--help")
     assert "igtl_gateway.cli.options" in found
     assert sorted(found.intersection(HEAVY)) == []
-
-
-def test_what_a_user_chooses_from_is_what_the_tables_have() -> None:
-    assert list(choices.PROFILES) == [profile.name for profile in profiles.PROFILES]
-    assert list(choices.UNITS) == list(units.UNITS)
-    assert list(choices.KINDS) == sorted({row.kind for row in table.TO_ROS})

@@ -206,3 +206,10 @@ def test_decoded_children_are_encoded_to_the_same_bytes(bind: Bind) -> None:
         except WireError:
             continue
         assert join(body.pack()) == child.content
+
+
+def test_a_bind_without_children_of_the_cpp_library_has_none() -> None:
+    """It reserves 4 bytes, and writes nothing into them."""
+    for data in (bytes(4), b"\xa5" * 4):
+        bind = Bind.unpack(memoryview(data))
+        assert bind.children == () and join(bind.pack()) == data

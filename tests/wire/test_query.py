@@ -193,3 +193,11 @@ def test_the_names_of_the_documents() -> None:
     assert [query_name("GET", base) for base in ("TRANSFORM", "CAPABILITY", "VIDEOMETA", "COLORTABLE", "IMAGE")] == [
         "GET_TRANS", "GET_CAPABIL", "GET_VMETA", "GET_COLORT", "GET_IMAGE",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["STT_TDATA", "STT_QTDATA", "STT_IMAGE", "STT_SENSOR"])
+def test_the_interval_of_openigtlink4j_is_a_long(kind: str) -> None:
+    for interval in (0, 50, 2**40):
+        data = struct.pack(">q", interval)
+        query = BODIES[kind].unpack(memoryview(data))
+        assert query.resolution == interval and join(query.pack()) == data  # type: ignore[attr-defined]

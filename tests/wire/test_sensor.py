@@ -1,8 +1,9 @@
-"""Unit words of SENSOR and their text: the examples of the protocol, every code, the inverse, what is no unit."""
+"""SENSOR: its bytes, and unit words and their text: the examples of the protocol, every code, the inverse."""
 
 from __future__ import annotations
 
 import math
+import struct
 from fractions import Fraction
 
 import numpy as np
@@ -11,9 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import MalformedBody, TruncatedMessage, WireError
 from igtl_gateway.wire.sensor import PREFIXES, UNITS, Sensor, parse_unit, unit_parts, unit_text, unit_word
 from tests import strategies
 from tests.tables import table
+from tests.wire.contents import check_golden
 
 NONE = (0, 0)
 
@@ -236,3 +239,39 @@ def test_values_are_a_view_and_compared_by_bits() -> None:
     assert sensor != data
     signalling = bytes([1]) + bytes(9) + bytes.fromhex("7ff0000000000001")
     assert join(Sensor.unpack(memoryview(signalling)).pack()) == signalling
+
+
+def test_golden_bytes() -> None:
+    described = check_golden(
+        Sensor(np.array([1.0, -2.5]), 0x00443E0000000000),
+        b"\2\0" + bytes.fromhex("00443e0000000000") + struct.pack(">2d", 1.0, -2.5),
+    )
+    assert described["values"] == [1.0, -2.5]
+    check_golden(Sensor(np.zeros(0)), bytes(10))
+
+
+@table(
+    ("content", "error", "named"),
+    [
+        (b"", TruncatedMessage, "at least 10"),
+        (bytes(9), TruncatedMessage, "9 bytes"),
+        (b"\x02" + bytes(17), MalformedBody, "26 bytes for 2 values"),
+        (b"\x01" + bytes(18), MalformedBody, "18 bytes for 1 values"),
+        (b"\xff" * 100, MalformedBody, "2050 bytes for 255 values"),
+    ],
+)
+def test_bad_contents(content: bytes, error: type[WireError], named: str) -> None:
+    with pytest.raises(WireError) as raised:
+        Sensor.unpack(memoryview(content))
+    assert type(raised.value) is error
+    assert named in str(raised.value)
+
+
+@table(
+    "made",
+    [Sensor(np.zeros(256)), Sensor(np.zeros(1), 1 << 64), Sensor(np.zeros(1), -1), Sensor(np.zeros(1), 0, 256)],
+    ids=["values", "unit", "negative unit", "status"],
+)
+def test_what_the_layout_cannot_hold(made: Sensor) -> None:
+    with pytest.raises(MalformedBody):
+        made.pack()
