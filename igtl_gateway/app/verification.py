@@ -12,7 +12,7 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.record.sessionfile.columns import Unfit
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import LeafDecoder
-from igtl_gateway.replay.recheck import can_recheck, recheck
+from igtl_gateway.replay.recheck import can_recheck, message_counts, recheck
 from igtl_gateway.replay.recorded_config import absent_sources, config_to_run, units_of
 from igtl_gateway.replay.verify import DeclaredLosses, Difference, VerifyReport, verify
 
@@ -138,10 +138,7 @@ def _recheck(file: SessionFile, config: Config, losses: DeclaredLosses, decoder:
         columns = file.columns()
     except Unfit:
         return None
-    counts: dict[str, int] = {}
-    for channel in file.channels:
-        counts[channel.topic] = counts.get(channel.topic, 0) + channel.count
-    return recheck(columns, config, losses, counts=counts, before=file.prologue(), decoder=decoder)
+    return recheck(columns, config, losses, counts=message_counts(file), before=file.prologue(), decoder=decoder)
 
 
 def _config(path: Path, config_path: Path | None, file: SessionFile, recorded_by: str) -> Config:

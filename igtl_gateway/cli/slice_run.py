@@ -20,9 +20,11 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.whole_files import written
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.replay.moment import check_part
+from igtl_gateway.replay.recheck import message_counts
 from igtl_gateway.replay.recorded_config import absent_sources, config_to_run
 from igtl_gateway.replay.recorded_marks import carry_marks, marked_moment, marks_of
-from igtl_gateway.replay.slice import Slice, SliceReport, SliceWindow
+from igtl_gateway.replay.slice import Slice, SliceReport
+from igtl_gateway.replay.slice_state import SliceWindow
 from igtl_gateway.replay.source import check_recorded
 
 
@@ -58,7 +60,9 @@ def run(options: argparse.Namespace) -> int:
         config = config_to_run(file.session, options.config)
         for absent in absent_sources(file, config) if options.config else ():
             print_line(f"? {absent}", error=True)
-        part = Slice(file.entries, config, window, file.entries_starting_at, file.prologue())
+        part = Slice(
+            file.entries, config, window, file.entries_starting_at, file.prologue(), file.columns, message_counts(file)
+        )
         wanted = [mark for mark in marks() if _is_in(mark, window)]
         _write(file, part, window, options)
         # the window may begin before the first message in it, and end behind the last one
@@ -109,8 +113,7 @@ def _write(file: SessionFile, part: Slice, window: SliceWindow, options: argpars
         )
         for each in file.beside():
             writer.add_beside(each)
-        for entry in part.entries():
-            writer.write(entry)
+        part.write(writer)
         losses = {} if file.foreign else layout.declared_losses(file.ledger)
         writer.close({"streams": part.report.ledger, **losses})
 
@@ -123,14 +126,16 @@ def _facts(report: SliceReport) -> dict[str, object]:
         "outputs": report.outputs,
         "computed": report.computed,
         "differing": report.differing,
+        "compiled": report.compiled,
     }
 
 
 def _print(out: Path, report: SliceReport) -> None:
+    how = f"{report.compiled:,} of them by compiled conversions" if report.compiled else "each by the full path"
     print_line(
         f"{out}: {count_text(report.inputs, 'input')} and {count_text(report.outputs, 'output')}, "
         f"{size_text(out.stat().st_size)}; "
-        f"prologue: {count_text(report.prologue, 'input')} that restore the state"
+        f"prologue: {count_text(report.prologue, 'input')} that restore the state; computed for comparison: {how}"
     )
     if report.computed:
         print_line(

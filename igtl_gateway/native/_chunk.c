@@ -1,7 +1,7 @@
 /* The compiled part of igtl_gateway/record/sessionfile/chunk_rows.py, which documents the functions.
  *
- * index_messages also exists in Python, with an equal result.  add_rows exists only here; what it leaves goes through
- * SessionWriter.write, which makes the same bytes of it.  Rows are records of the recorder's queue: _queue.h has their
+ * index_messages also exists in Python, with an equal result.  add_rows and add_columns exist only here; what they leave
+ * goes through SessionWriter.write, which makes the same bytes of it.  Rows are records of the recorder's queue: _queue.h has their
  * layout.  Numbers in MCAP and CDR are little-endian here, so the module is not built for other machines.
  */
 #define PY_SSIZE_T_CLEAN
@@ -76,20 +76,58 @@ static int get_stream(PyObject *item, struct stream *stream)
     return 1;
 }
 
-static uint8_t *put_raw_head(uint8_t *at, const struct stream *stream, const uint64_t *row, const uint8_t *payload)
+/* A message to be added. */
+struct message {
+    uint64_t number, stamp_ns, publish_ns, source_ns, size;
+    const uint8_t *payload;
+};
+
+static uint8_t *put_raw_head(uint8_t *at, const struct stream *stream, const struct message *message)
 {
-    const uint64_t size = row[1], stamp_ns = row[3], source_ns = row[4];
+    const uint64_t size = message->size, stamp_ns = message->stamp_ns, source_ns = message->source_ns;
     const uint8_t encapsulation[4] = {0, 1, 0, 0}, padding[3] = {0, 0, 0};
     at = put(at, encapsulation, 4);
     at = put_u32(at, (uint32_t)(stamp_ns / NS_PER_S));
     at = put_u32(at, (uint32_t)(stamp_ns % NS_PER_S));
     at = put_u32(at, (uint32_t)(source_ns / NS_PER_S));
     at = put_u32(at, (uint32_t)(source_ns % NS_PER_S));
-    at = put_u64(at, size >= BODY_SIZE_AT ? __builtin_bswap64(record_u64(payload + TICKS_AT)) : 0);
+    at = put_u64(at, size >= BODY_SIZE_AT ? __builtin_bswap64(record_u64(message->payload + TICKS_AT)) : 0);
     at = put_u8(at, (uint8_t)stream->direction);
     at = put(at, padding, 3);
     at = put(at, stream->same, (size_t)stream->same_size);
     return put_u32(at, (uint32_t)size);
+}
+
+/* Bytes of a message behind its MCAP fields. */
+static uint64_t packed_size(const struct stream *stream, uint64_t size)
+{
+    return size + (stream->direction >= 0 ? RAW_HEAD + (uint64_t)stream->same_size + 4 : 0);
+}
+
+/* Whether the stamps of a message fit those of ROS, which only a RawMessage has. */
+static int has_ros_stamps(const struct stream *stream, const struct message *message)
+{
+    return stream->direction < 0 || (message->stamp_ns < STAMP_END && message->source_ns < STAMP_END);
+}
+
+/* Add a message to the bytes of a chunk; 0: there is no memory. */
+static int add_message(PyObject *chunk, Py_ssize_t *filled, const struct stream *stream, const struct message *message)
+{
+    const uint64_t content = MESSAGE_HEAD + packed_size(stream, message->size);
+    if (PyByteArray_Resize(chunk, *filled + RECORD_HEAD + (Py_ssize_t)content) < 0)
+        return 0;
+    uint8_t *at = (uint8_t *)PyByteArray_AS_STRING(chunk) + *filled;
+    at = put_u8(at, MESSAGE);
+    at = put_u64(at, content);
+    at = put_u16(at, stream->channel);
+    at = put_u32(at, (uint32_t)message->number);
+    at = put_u64(at, message->stamp_ns);
+    at = put_u64(at, message->publish_ns);
+    if (stream->direction >= 0)
+        at = put_raw_head(at, stream, message);
+    put(at, message->payload, message->size);
+    *filled += RECORD_HEAD + (Py_ssize_t)content;
+    return 1;
 }
 
 /* (chunk, room, begin, end, streams, chunk_bytes) -> (end of the last row taken, rows, bytes, first and last stamp) */
@@ -115,30 +153,16 @@ static PyObject *add_rows(PyObject *module, PyObject *const *args, Py_ssize_t co
         struct stream stream;
         memcpy(row, rows + place, QUEUE_RECORD_BYTES);
         const uint64_t size = row[1], stamp_ns = row[3], source_ns = row[4];
+        const struct message message = {row[2],   stamp_ns, source_ns ? source_ns : stamp_ns,
+                                        source_ns, size,     rows + place + QUEUE_RECORD_BYTES};
         if (row[0] >= (uint64_t)PyList_GET_SIZE(streams) || size >= QUEUE_LARGE_BYTES ||
             (uint64_t)(end - place) < queue_need(size) ||
-            !get_stream(PyList_GET_ITEM(streams, (Py_ssize_t)row[0]), &stream))
+            !get_stream(PyList_GET_ITEM(streams, (Py_ssize_t)row[0]), &stream) || !has_ros_stamps(&stream, &message))
             break;
-        const int raw = stream.direction >= 0;
-        if (raw && (stamp_ns >= STAMP_END || source_ns >= STAMP_END))
-            break;
-        const uint64_t content = MESSAGE_HEAD + size + (raw ? RAW_HEAD + (uint64_t)stream.same_size + 4 : 0);
-        const uint8_t *payload = rows + place + QUEUE_RECORD_BYTES;
-        if (PyByteArray_Resize(chunk, filled + RECORD_HEAD + (Py_ssize_t)content) < 0) {
+        if (!add_message(chunk, &filled, &stream, &message)) {
             failed = 1;
             break;
         }
-        uint8_t *at = (uint8_t *)PyByteArray_AS_STRING(chunk) + filled;
-        at = put_u8(at, MESSAGE);
-        at = put_u64(at, content);
-        at = put_u16(at, stream.channel);
-        at = put_u32(at, (uint32_t)row[2]);
-        at = put_u64(at, stamp_ns);
-        at = put_u64(at, source_ns ? source_ns : stamp_ns);
-        if (raw)
-            at = put_raw_head(at, &stream, row, payload);
-        put(at, payload, size);
-        filled += RECORD_HEAD + (Py_ssize_t)content;
         place += (Py_ssize_t)queue_need(size);
         bytes += size;
         first = taken ? first : stamp_ns;
@@ -152,6 +176,78 @@ static PyObject *add_rows(PyObject *module, PyObject *const *args, Py_ssize_t co
         return NULL;
     return Py_BuildValue("nKKKK", place, (unsigned long long)taken, (unsigned long long)bytes,
                          (unsigned long long)first, (unsigned long long)last);
+}
+
+/* -- columns into a chunk ----------------------------------------------------------------------------------------- */
+
+/* Places of the arguments of add_columns. */
+enum { CHUNK, DATA, WHICH, IDENTS, NUMBERS, TIMES, PUBLISH, SOURCES, BEGINS, ENDS, FROM, STREAMS, FULL, LARGE, ARGUMENTS };
+
+static const Py_ssize_t COLUMN_BYTES[ARGUMENTS] = {[WHICH] = 1,   [IDENTS] = 4,  [NUMBERS] = 8, [TIMES] = 8,
+                                                   [PUBLISH] = 8, [SOURCES] = 8, [BEGINS] = 8,  [ENDS] = 8};
+
+/* Hold the columns, which have one element per message; return how many are held. */
+static int hold_columns(PyObject *const *args, Py_buffer *columns)
+{
+    int column = WHICH;
+    for (; column <= ENDS; column++) {
+        if (PyObject_GetBuffer(args[column], &columns[column], PyBUF_SIMPLE) < 0)
+            break;
+        if (columns[column].len != columns[WHICH].len * COLUMN_BYTES[column]) {
+            PyErr_SetString(PyExc_ValueError, "add_columns: found columns of other lengths");
+            column++;
+            break;
+        }
+    }
+    return column;
+}
+
+/* (chunk, data, which, idents, numbers, times, publish_times, sources, begins, ends, row, streams, chunk_bytes, large)
+ * -> row */
+static PyObject *add_columns(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (count != ARGUMENTS || !PyByteArray_CheckExact(args[CHUNK]) || !PyTuple_CheckExact(args[DATA]) ||
+        !PyList_CheckExact(args[STREAMS])) {
+        PyErr_SetString(PyExc_TypeError, "add_columns: found other arguments, expected those of chunk_rows.py");
+        return NULL;
+    }
+    PyObject *chunk = args[CHUNK], *streams = args[STREAMS], *parts = args[DATA];
+    Py_ssize_t row = PyLong_AsSsize_t(args[FROM]), filled = PyByteArray_GET_SIZE(chunk);
+    const Py_ssize_t chunk_bytes = PyLong_AsSsize_t(args[FULL]), large = PyLong_AsSsize_t(args[LARGE]);
+    for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(parts); i++)
+        if (!PyBytes_CheckExact(PyTuple_GET_ITEM(parts, i)))
+            PyErr_SetString(PyExc_TypeError, "add_columns: expected bytes");
+    if (PyErr_Occurred())
+        return NULL;
+    Py_buffer columns[ARGUMENTS];
+    const int held = hold_columns(args, columns);
+    const Py_ssize_t rows = PyErr_Occurred() ? 0 : columns[WHICH].len;
+    while (row >= 0 && row < rows && filled <= chunk_bytes) {
+        const uint8_t which = ((const uint8_t *)columns[WHICH].buf)[row];
+        const int32_t ident = ((const int32_t *)columns[IDENTS].buf)[row];
+        const int64_t begin = ((const int64_t *)columns[BEGINS].buf)[row], end = ((const int64_t *)columns[ENDS].buf)[row];
+        struct stream stream;
+        if (which >= PyTuple_GET_SIZE(parts) || begin < 0 || end < begin ||
+            end > PyBytes_GET_SIZE(PyTuple_GET_ITEM(parts, which))) {
+            PyErr_SetString(PyExc_ValueError, "add_columns: found a message outside of the data");
+            break;
+        }
+        const struct message message = {
+            ((const uint64_t *)columns[NUMBERS].buf)[row], ((const uint64_t *)columns[TIMES].buf)[row],
+            ((const uint64_t *)columns[PUBLISH].buf)[row], ((const uint64_t *)columns[SOURCES].buf)[row],
+            (uint64_t)(end - begin), (const uint8_t *)PyBytes_AS_STRING(PyTuple_GET_ITEM(parts, which)) + begin,
+        };
+        if (ident < 0 || ident >= PyList_GET_SIZE(streams) || !get_stream(PyList_GET_ITEM(streams, ident), &stream) ||
+            !has_ros_stamps(&stream, &message) || packed_size(&stream, message.size) >= (uint64_t)large)
+            break;
+        if (!add_message(chunk, &filled, &stream, &message))
+            break;
+        row++;
+    }
+    for (int column = WHICH; column < held; column++)
+        PyBuffer_Release(&columns[column]);
+    return PyErr_Occurred() ? NULL : PyLong_FromSsize_t(row);
 }
 
 /* -- the index of a chunk ----------------------------------------------------------------------------------------- */
@@ -255,6 +351,7 @@ done:
 
 static PyMethodDef functions[] = {
     {"add_rows", (PyCFunction)(void (*)(void))add_rows, METH_FASTCALL, "See chunk_rows.py."},
+    {"add_columns", (PyCFunction)(void (*)(void))add_columns, METH_FASTCALL, "See chunk_rows.py."},
     {"index_messages", index_messages, METH_O, "See chunk_rows.py."},
     {NULL, NULL, 0, NULL},
 };

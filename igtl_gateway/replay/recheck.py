@@ -13,7 +13,8 @@ If anything differs, the result is that of the full path for the whole recording
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,9 @@ from igtl_gateway.gateway.core import Gateway
 from igtl_gateway.gateway.fastpath.passage_streams import PassageStreams
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.native.passage import Link, Lock, Passage, Publisher, Subscription, is_compiled
-from igtl_gateway.record.sessionfile.columns import EntryColumns, Stream, WireHead
+from igtl_gateway.record.sessionfile.columns import EntryColumns
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.stream_rows import StreamName, StreamNumbers
 from igtl_gateway.replay.compare import LeafDecoder
 from igtl_gateway.replay.verify import DeclaredLosses, Verifier, VerifyReport
 
@@ -37,16 +40,19 @@ _MISFIT, _NO_ROOM = 3, 6
 #: A number without common pattern with the numbers of inputs, which often are every second or third.
 _SPREAD = np.uint64(0x9E3779B97F4A7C15)
 _SHIFT = np.uint64(64 - EVERY.bit_length() + 1)
-_CHANNELS = 1 << 16
-_NO_STREAM = -1
-
-#: Kind, channel, type and links of the entries of a stream.
-_Name = tuple[Kind, str, str, tuple[int, ...]]
 
 
 def can_recheck(config: Config) -> bool:
     """Return whether compiled conversions can compute a session with this configuration here."""
     return is_compiled() and not config.relay
+
+
+def message_counts(file: SessionFile) -> dict[str, int]:
+    """Return topic in a file → its number of messages."""
+    counts: Counter[str] = Counter()
+    for channel in file.channels:
+        counts[channel.topic] += channel.count
+    return counts
 
 
 def recheck(
@@ -116,7 +122,7 @@ class _Names:
 
     def __init__(self, edges: _Edges) -> None:
         self._edges = edges
-        self._numbers: dict[_Name, int] = {}
+        self._numbers: dict[StreamName, int] = {}
         self._sources: list[Link | Subscription | None] = []
         self._as_tuple: tuple[Link | Subscription | None, ...] = ()
 
@@ -156,9 +162,7 @@ class Checker:
             self._passage, edges, self._names.number, lambda _kind, _number: None, lambda _type: False
         )
         self._fast_path.native = self._streams
-        self._of_channel: tuple[Mapping[int, Stream], npt.NDArray[np.int32]] | None = None
-        self._heads: Sequence[WireHead] = ()
-        self._of_head = np.zeros((0, 2), np.int32)
+        self._numbered = StreamNumbers(self._names.number)
 
     def collect(self) -> None:
         """Have the core take over what was counted."""
@@ -209,37 +213,11 @@ class Checker:
         if columns.times.dtype != np.int64 or columns.publish_times.dtype != np.int64:
             return None
         try:
-            wire = columns.wire()
+            idents, sources, begins, ends = self._numbered.of(columns)
         except DamagedRecording:  # raised again where the entry is
             return None
-        idents = self._channel_idents(columns.streams)[columns.channels]
-        sources, begins, ends = columns.source_times(), columns.begins.copy(), columns.ends.copy()
-        if len(wire):
-            self._learn_heads(wire.known)
-            idents[wire.rows] = self._of_head[wire.heads, wire.outgoing.astype(np.intp)]
-            sources[wire.rows], begins[wire.rows], ends[wire.rows] = wire.source_times, wire.begins, wire.ends
         columns_of = (idents, columns.numbers, columns.times, sources, begins, ends, self._sample(columns))
         return columns.data, *map(np.ascontiguousarray, columns_of)
-
-    def _channel_idents(self, streams: Mapping[int, Stream]) -> npt.NDArray[np.int32]:
-        """MCAP channel → number of the stream of ROS."""
-        if self._of_channel is None or self._of_channel[0] is not streams:
-            found = np.full(_CHANNELS, _NO_STREAM, np.int32)
-            for number, stream in streams.items():
-                if stream.kind in (Kind.ROS_IN, Kind.ROS_OUT):
-                    found[number] = self._names.number(stream.kind, stream.channel, stream.type, ())
-            self._of_channel = streams, found
-        return self._of_channel[1]
-
-    def _learn_heads(self, heads: Sequence[WireHead]) -> None:
-        if heads is not self._heads:  # another file, or one with so many that its numbers begin again
-            self._heads, self._of_head = heads, np.zeros((0, 2), np.int32)
-        new = [
-            [self._names.number(kind, head.channel, head.type, head.links) for kind in (Kind.IGTL_IN, Kind.IGTL_OUT)]
-            for head in heads[len(self._of_head) :]
-        ]
-        if new:
-            self._of_head = np.concatenate((self._of_head, np.array(new, np.int32)))
 
     def _sample(self, columns: EntryColumns) -> npt.NDArray[np.uint8]:
         """Mask of the inputs that the full path computes, too."""

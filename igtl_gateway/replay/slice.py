@@ -18,55 +18,35 @@ therefore, they are computed, and the report counts the group.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum
-from itertools import chain
+from types import MappingProxyType
 
-from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.config.configuration import Config
-from igtl_gateway.convert.common_msgs import TFMessage
-from igtl_gateway.convert.igtl_msgs import Command, CommandReply
-from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, TICK, Session, make_core
-from igtl_gateway.gateway.log.changes import SETTING
-from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP
+from igtl_gateway.gateway import Session, make_core
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.groups import InputGroup, input_groups
-from igtl_gateway.gateway.log.marks import MARK, is_phase
-from igtl_gateway.gateway.log.note import Note
-from igtl_gateway.gateway.orders import UNWRITTEN, is_unwritten
-from igtl_gateway.replay.source import matches_any
+from igtl_gateway.gateway.log.marks import MARK
+from igtl_gateway.gateway.orders import is_unwritten
+from igtl_gateway.record.sessionfile.columns import Unfit
+from igtl_gateway.record.sessionfile.stream_rows import ColumnsWriter
+from igtl_gateway.record.sessionfile.writer import SessionWriter
+from igtl_gateway.replay.slice_columns import ColumnsOf, compare_window, restored, state_in_columns, window_columns
+from igtl_gateway.replay.slice_state import (
+    SMALL_BYTES,
+    Depth,
+    SliceWindow,
+    carries_state,
+    find_prologue,
+    is_selected,
+    keys_of,
+    note_code,
+)
 from igtl_gateway.replay.verify import compare
-
-#: Maximum size of a small input: poses, strings and queries are small, images and clouds are not.
-SMALL_BYTES = 4096
 
 _Read = Callable[[], Iterable[Entry]]
 _ReadFrom = Callable[[int, int], Iterable[Entry]]
-_PREFIXES = ("STT_", "STP_")
-_COMMANDS = frozenset({"COMMAND", "RTS_COMMAND", Command.TYPE, CommandReply.TYPE})
-
-
-class Depth(Enum):
-    """Which inputs from before the window are in the slice."""
-
-    STATE = "state"  #: links, stream requests, commands, first and last message of each stream
-    SMALL = "small"  #: also all small inputs
-    ALL = "all"  #: all inputs
-
-
-@dataclass(frozen=True, slots=True)
-class SliceWindow:
-    """The window of a slice.
-
-    Attributes:
-        start_ns, end_ns: gateway time, UTC ns; the end is not included.
-        globs: topic, ``TYPE/device`` or device of an input or of its outputs; empty = all.
-    """
-
-    start_ns: int
-    end_ns: int
-    globs: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
@@ -79,6 +59,7 @@ class SliceReport:
         inputs, outputs: number of entries in the window.
         computed: number of groups in the window whose outputs are computed, not recorded.
         differing: number of outputs in the window that differ from the computed ones.
+        compiled: number of inputs in the window whose outputs compiled conversions compared, instead of the full path.
         ledger: the ledger of the slice.
     """
 
@@ -88,6 +69,7 @@ class SliceReport:
     outputs: int = 0
     computed: int = 0
     differing: int = 0
+    compiled: int = 0
     ledger: dict[str, object] = field(default_factory=dict)
 
 
@@ -104,6 +86,9 @@ class Slice:
         read_from: returns the entries from a time on (UTC ns, entry number of an earlier entry or 0) without reading
             those before it; default: those of ``read``.
         before: the prologue of the session, if it begins midway.
+        columns: returns the entries from a time on (UTC ns) in columns, for a trial by compiled conversions and for
+            :meth:`write`; None: there are none.
+        counts: topic in the file → its number of messages.
     """
 
     def __init__(
@@ -113,20 +98,17 @@ class Slice:
         window: SliceWindow,
         read_from: _ReadFrom | None = None,
         before: Iterable[Entry] = (),
+        columns: ColumnsOf | None = None,
+        counts: Mapping[str, int] = MappingProxyType({}),
     ) -> None:
         self._read, self._config, self._window = read, config, window
         self._read_from = read_from
         self._before = [group for group in input_groups(before) if _is_needed(group, window)]
         self._state: dict[int, Entry] | None = None  # the prologue of Depth.STATE, once it is known
-        depths = (Depth.STATE, Depth.SMALL) if window.globs else tuple(Depth)
-        tried: list[SliceReport] = []
-        for depth in depths:
-            tried.append(self._tried(depth))
-            if not tried[-1].differing:
-                break
-        self._found = min(tried, key=lambda report: report.differing)
+        self._columns: ColumnsOf | None = None  # as given, if the trial in columns found no difference
+        self._found = self._tried_in_columns(columns, counts) or self._tried_with_care()
         self._depth = self._found.depth
-        #: The report, complete at the end of :meth:`entries`.
+        #: The report, complete at the end of :meth:`entries` and of :meth:`write`.
         self.report = SliceReport(self._depth)
 
     def entries(self) -> Iterator[Entry]:
@@ -139,6 +121,55 @@ class Slice:
     def before(self) -> list[Entry]:
         """Return the prologue of the slice: what the state needs of that of the session."""
         return [entry for group in self._groups_before(self._depth) for entry in (group.input, *group.outputs)]
+
+    def write(self, writer: SessionWriter) -> None:
+        """Write the entries of the slice.  Raises as the writer, and as the functions that read the session."""
+        if self._columns is None:
+            for entry in self.entries():
+                writer.write(entry)
+            return
+        last = None
+        for last in restored(self._prologue_of_state(), self._behind(Depth.STATE).recorded):
+            writer.write(last)
+        in_bulk = ColumnsWriter(writer)
+        for columns in window_columns(self._columns, self._window, self._prologue_of_state(), last):
+            in_bulk.write(columns)
+        self.report = self._found
+
+    def _tried_in_columns(self, columns: ColumnsOf | None, counts: Mapping[str, int]) -> SliceReport | None:
+        """Try the least depth in columns; None: only the careful way can decide."""
+        if columns is None or self._window.globs:
+            return None
+        try:
+            self._state = state_in_columns(columns, self._window)
+            before = self._groups_before(Depth.STATE)
+            entries = [entry for group in before for entry in (group.input, *group.outputs)]
+            found = compare_window(columns, self._config, self._window, self._state, before=entries, counts=counts)
+        except (GatewayError, Unfit):
+            self._state = None
+            return None
+        self._columns = columns
+        window = found.window
+        return SliceReport(
+            Depth.STATE, len(before) + found.prologue, window.inputs, window.outputs,
+            compiled=window.compiled, ledger=found.ledger,
+        )  # fmt: skip
+
+    def _tried_with_care(self) -> SliceReport:
+        """Try one depth after the other."""
+        tried: list[SliceReport] = []
+        for depth in (Depth.STATE, Depth.SMALL) if self._window.globs else Depth:
+            tried.append(self._tried(depth))
+            if not tried[-1].differing:
+                break
+        return min(tried, key=lambda report: report.differing)
+
+    def _behind(self, depth: Depth) -> Session:
+        """Return a session behind what the state needs of the prologue of the recording."""
+        session = Session(make_core(self._config, fast_path=False))
+        for group in self._groups_before(depth):
+            session.restored(group.input, group.outputs)
+        return session
 
     def _tried(self, depth: Depth) -> SliceReport:
         report = SliceReport(depth)
@@ -154,11 +185,9 @@ class Slice:
             known: the report of an earlier pass at this depth, so that nothing is computed in the window.
         """
         window, depth = self._window, report.depth
-        session = Session(make_core(self._config, fast_path=False))
+        session = self._behind(depth)
+        report.prologue = len(self._groups_before(depth))
         seq, stamp_ns = 1, 0
-        for group in self._groups_before(depth):
-            report.prologue += 1
-            session.restored(group.input, group.outputs)
         for group in self._groups(depth):
             cause = group.input
             if cause.stamp_ns >= window.end_ns:
@@ -194,18 +223,18 @@ class Slice:
         """Return the groups of the prologue; at the least depth without pictures that others follow in the session."""
         if depth is not Depth.STATE:
             return self._before
-        followed = {key for entry in self._prologue_of_state().values() for key in _keys(entry)}
+        followed = {key for entry in self._prologue_of_state().values() for key in keys_of(entry)}
         return [
             group
             for group in self._before
-            if group.input.size <= SMALL_BYTES or not followed.issuperset(_keys(group.input))
+            if group.input.size <= SMALL_BYTES or not followed.issuperset(keys_of(group.input))
         ]
 
     def _groups(self, depth: Depth) -> Iterator[InputGroup]:
         """Yield the groups of the prologue, possibly without outputs, and all groups from the window on."""
         start_ns = self._window.start_ns
         if depth is not Depth.STATE:
-            kept = _prologue(self._read(), self._window, depth).keys()
+            kept = find_prologue(self._read(), self._window, depth).keys()
             for group in input_groups(self._read()):
                 if group.input.stamp_ns >= start_ns or group.input.seq in kept:
                     yield group
@@ -220,7 +249,7 @@ class Slice:
 
     def _prologue_of_state(self) -> dict[int, Entry]:
         if self._state is None:
-            self._state = _prologue(self._read(), self._window, Depth.STATE)
+            self._state = find_prologue(self._read(), self._window, Depth.STATE)
         return self._state
 
 
@@ -244,89 +273,13 @@ def _differing(recorded: Sequence[Entry], computed: Sequence[Entry], cause: int)
 def _wanted(group: InputGroup, window: SliceWindow) -> bool:
     """Return whether a group in the window is in the slice."""
     entry = group.input
-    is_mark = entry.kind is Kind.EDGE_NOTE and _code(entry) == MARK
-    return not window.globs or is_mark or is_unwritten(entry) or _carries_state(group) or _selected(group, window.globs)
+    is_mark = entry.kind is Kind.EDGE_NOTE and note_code(entry) == MARK
+    return (
+        not window.globs or is_mark or is_unwritten(entry) or carries_state(group) or is_selected(group, window.globs)
+    )
 
 
 def _is_needed(group: InputGroup, window: SliceWindow) -> bool:
     """Return whether a group of the prologue of the session may influence the window."""
     in_time = group.input.stamp_ns < window.start_ns
-    return in_time and (not window.globs or _carries_state(group) or _selected(group, window.globs))
-
-
-def _selected(group: InputGroup, globs: tuple[str, ...]) -> bool:
-    return any(
-        matches_any(entry.channel, globs)
-        or (entry.kind in (Kind.IGTL_IN, Kind.IGTL_OUT) and matches_any(entry.channel.partition("/")[2], globs))
-        for entry in (group.input, *group.outputs)
-        if entry.channel
-    )
-
-
-def _carries_state(group: InputGroup) -> bool:
-    """Return whether an input influences the outputs of other streams."""
-    entry = group.input
-    if any(output.channel == LINKS_TOPIC for output in group.outputs):
-        return True  # it changed the profile of its peer
-    match entry.kind:
-        case Kind.LINK:
-            return True
-        case Kind.EDGE_NOTE:
-            return _code(entry) in (TICK, CLOCK_STEP, SETTING) or is_phase(entry)
-        case _:
-            return entry.type.startswith(_PREFIXES) or entry.type in _COMMANDS
-
-
-def _code(entry: Entry) -> str:
-    return Note.of(entry.data()).code
-
-
-def _prologue(entries: Iterable[Entry], window: SliceWindow, depth: Depth) -> dict[int, Entry]:
-    """Return entry number → input of the prologue; beyond `Depth.STATE` without the payload."""
-    kept: dict[int, Entry] = {}
-    first: dict[object, Entry] = {}
-    last: dict[object, Entry] = {}
-    links: dict[int, Entry] = {}  # open link → the entry of its opening
-    begins_again: dict[str, tuple[Entry, Entry]] = {}  # stream → its last command that was not written, with the note
-    for group in input_groups(entries):
-        entry = group.input
-        if entry.stamp_ns >= window.start_ns:
-            break
-        if entry.kind is Kind.LINK:
-            _follow(links, entry)
-        if depth is Depth.ALL or (depth is Depth.SMALL and entry.size <= SMALL_BYTES):
-            kept[entry.seq] = replace(entry, payload=())
-        elif entry.kind is not Kind.LINK and _carries_state(group):
-            kept[entry.seq] = entry
-        elif is_unwritten(entry):  # about the message after it
-            last[UNWRITTEN] = entry
-        elif entry.channel and (not window.globs or _selected(group, window.globs)):
-            if UNWRITTEN in last:
-                begins_again[entry.channel] = last.pop(UNWRITTEN), entry
-            for key in _keys(entry):
-                if entry.size <= SMALL_BYTES:
-                    first.setdefault(key, entry)
-                last[key] = entry
-    before = (entry for pair in begins_again.values() for entry in pair)
-    found = chain(before, first.values(), last.values(), links.values())
-    return kept | {entry.seq: entry for entry in found}
-
-
-def _follow(links: dict[int, Entry], entry: Entry) -> None:
-    for link in entry.links:
-        if _code(entry) == LINK_UP:
-            links[link] = entry
-        else:
-            links.pop(link, None)
-
-
-def _keys(entry: Entry) -> Iterator[object]:
-    """Yield the keys of which an input is the latest: its link and stream, or each of its frames."""
-    yield (entry.kind, entry.channel, entry.links)
-    if entry.type == TFMessage.TYPE:
-        try:
-            transforms = TFMessage.unpack(entry.payload[0]).transforms
-        except ConversionError:
-            return
-        for one in transforms:
-            yield (entry.channel, one.header.frame_id, one.child_frame_id)
+    return in_time and (not window.globs or carries_state(group) or is_selected(group, window.globs))

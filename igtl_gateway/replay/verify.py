@@ -208,6 +208,17 @@ class Verifier:
         for group in input_groups(prologue):
             self._session.restored(group.input, group.outputs)
 
+    def compute(self, entry: Entry) -> list[Entry]:
+        """Process an input before the start that has no outputs in the recording; return them, which are numbered."""
+        outputs = self._session.recorded(entry)
+        self._last = (outputs[-1] if outputs else entry).seq
+        return outputs
+
+    @property
+    def is_good(self) -> bool:
+        """Whether nothing differs so far."""
+        return self._report.good
+
     @property
     def settled_at(self) -> int | None:
         """Number of the last entry, if no output of it is expected any more; None before the first entry, too."""

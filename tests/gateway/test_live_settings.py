@@ -21,7 +21,8 @@ from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.gateway.log.changes import SETTING, SETTINGS, is_change
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
-from igtl_gateway.replay.slice import Slice, SliceWindow
+from igtl_gateway.replay.slice import Slice
+from igtl_gateway.replay.slice_state import SliceWindow
 from igtl_gateway.replay.verify import verify
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.command import Command

@@ -23,7 +23,8 @@ from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
-from igtl_gateway.replay.slice import Slice, SliceWindow
+from igtl_gateway.replay.slice import Slice
+from igtl_gateway.replay.slice_state import SliceWindow
 from igtl_gateway.replay.source import through_gateway
 from igtl_gateway.replay.verify import DeclaredLosses, verify
 from igtl_gateway.testing.gateway import ManualGateway

@@ -19,7 +19,8 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.recovery import recover
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.replay.recorded_marks import find_mark, marked_moment, marks_of
-from igtl_gateway.replay.slice import Slice, SliceWindow
+from igtl_gateway.replay.slice import Slice
+from igtl_gateway.replay.slice_state import SliceWindow
 from igtl_gateway.replay.verify import verify
 from tests import marked
 from tests.tables import table

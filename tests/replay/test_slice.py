@@ -17,7 +17,8 @@ from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.groups import input_groups
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.sessionfile.reader import SessionFile
-from igtl_gateway.replay.slice import SMALL_BYTES, Depth, Slice, SliceReport, SliceWindow
+from igtl_gateway.replay.slice import Slice, SliceReport
+from igtl_gateway.replay.slice_state import SMALL_BYTES, Depth, SliceWindow
 from igtl_gateway.replay.verify import DeclaredLosses, verify
 from tests.places import FIXTURES
 from tests.tables import table

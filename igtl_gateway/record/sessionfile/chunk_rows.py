@@ -1,13 +1,13 @@
 """The messages of a chunk in batches: the index of them, and small entries that are added without an object each.
 
 ``_chunk.c`` has the compiled functions.  ``index_messages`` also exists here, with an equal result; without
-``add_rows`` every entry goes through ``SessionWriter.write``, which writes the same bytes.
+``add_rows`` and ``add_columns`` every entry goes through ``SessionWriter.write``, which writes the same bytes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from igtl_gateway.record.sessionfile.records import HEAD, MESSAGE, MESSAGE_HEAD, pack_message_index
 
@@ -54,8 +54,40 @@ AddRows = Callable[[bytearray, memoryview, int, int, list[RowStream | None], int
 
 add_rows: AddRows | None = None
 
+
+class MessageRows(NamedTuple):
+    """Messages to be added to chunks; each array has one element per message.
+
+    Attributes:
+        data: bytes that have the payloads, at most 256 pieces.
+        which: uint8, the piece of each.
+        idents: int32, indices into a list of RowStream or None.
+        numbers: int64; the file has their lower 32 bits.
+        times, publish_times: of the MCAP message, ns; 64 bits.
+        sources: source stamp in a RawMessage, ns; 64 bits; 0 = unset.
+        begins, ends: int64, places of the payloads.
+    """
+
+    data: tuple[bytes, ...]
+    which: Any
+    idents: Any
+    numbers: Any
+    times: Any
+    publish_times: Any
+    sources: Any
+    begins: Any
+    ends: Any
+
+
+#: Adds messages to a chunk.
+#:
+#: Arguments: the chunk; the items of a MessageRows; the row of the first message; for each ident a RowStream or None;
+#: the size above which the chunk takes no more; the size from which on a message is left.  Result: the row behind the
+#: last one that it took.
+add_columns: Callable[..., int] | None = None
+
 if not TYPE_CHECKING:
     try:
-        from igtl_gateway.native._chunk import add_rows, index_messages  # noqa: F401
+        from igtl_gateway.native._chunk import add_columns, add_rows, index_messages  # noqa: F401
     except ImportError:  # pragma: no cover - installed without the C part
         pass

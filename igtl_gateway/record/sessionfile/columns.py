@@ -235,13 +235,15 @@ class EntryColumns:
     def wire(self, rows: Numbers | None = None) -> WireColumns:
         """The messages of OpenIGTLink: all, or those of some rows.
 
-        Raises DamagedRecording at the first that is not as its fields state.
+        Raises DamagedRecording at the first that is not as its fields state, or at an entry before it, as a note.
         """
         if rows is None:
             rows = np.flatnonzero(self.of(is_wire))
         begins, ends = self.begins[rows], self.ends[rows]
         heads, flags, row, error = self.table.wire_heads.unwrap(self.data, self.channels[rows], begins, ends)
         if error:
+            for _ in self.where(slice(int(rows[row]))).entries():
+                pass  # an earlier entry may be the first that is not right, such as a note
             raise self.table.damaged(int(self.numbers[rows[row]]), error)
         times, publish = self.times[rows], self.publish_times[rows]
         # publish_time equals log_time where the sender set no stamp; the message itself shows whether by coincidence

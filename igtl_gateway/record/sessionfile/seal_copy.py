@@ -12,13 +12,14 @@ from io import BufferedWriter
 from pathlib import Path
 from typing import IO
 
+import numpy as np
 from mcap.records import DataEnd, Footer, MetadataIndex
 
 from igtl_gateway.base.errors import RecordingError, UnsupportedRecording
 from igtl_gateway.base.untrusted import files, limits
 from igtl_gateway.record.seal.statement import UnitRow
 from igtl_gateway.record.sessionfile import records
-from igtl_gateway.record.sessionfile.chunks import batches, packed_chunk
+from igtl_gateway.record.sessionfile.chunks import column_batches, packed_chunk
 from igtl_gateway.record.sessionfile.contents import ChunkEntry
 from igtl_gateway.record.sessionfile.file_end import counted, pack_summary
 from igtl_gateway.record.sessionfile.index import recover_hint
@@ -103,10 +104,10 @@ def _row(path: Path, stream: IO[bytes], unit: FoundUnit) -> UnitRow:
         length = HEAD.size + HEAD.unpack(stream.read(HEAD.size))[1]
         try:
             data = packed_chunk(stream, ChunkEntry(0, 0, unit.at, length, 0), str(path)).unpack()
-            numbers = [row[1] for rows in batches(data) for row in rows]
+            numbers = np.concatenate([columns.sequences for columns in column_batches(data)])
         except Malformed as error:
             raise UnsupportedRecording(f"{path}: {error}{recover_hint(path)}") from None
-        first, last = min(numbers, default=-1), max(numbers, default=-1)
+        first, last = (int(numbers.min()), int(numbers.max())) if len(numbers) else (-1, -1)
     return UnitRow(kind_of(unit.opcode), unit.size, unit.digest, first, last)
 
 

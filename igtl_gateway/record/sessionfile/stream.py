@@ -31,7 +31,14 @@ from mcap.records import (
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.record.sessionfile import records
-from igtl_gateway.record.sessionfile.chunk_rows import ChunkIndex, RowStream, add_rows, index_messages
+from igtl_gateway.record.sessionfile.chunk_rows import (
+    ChunkIndex,
+    MessageRows,
+    RowStream,
+    add_columns,
+    add_rows,
+    index_messages,
+)
 from igtl_gateway.record.sessionfile.compression import NAMES, Compression, compress
 from igtl_gateway.record.sessionfile.file_end import pack_summary
 from igtl_gateway.record.sessionfile.layout import CHUNK_BYTES, SEAL_METADATA
@@ -159,6 +166,20 @@ class McapStream:
         if add_rows is None:
             raise TypeError("installed without the C part")
         return add_rows(self._chunk, room, begin, end, streams, self._chunk_bytes)
+
+    def add_columns(self, rows: MessageRows, row: int, streams: list[RowStream | None]) -> int:
+        """Messages from a row on, as add_message each of them, up to one that only add_message takes; return its row.
+
+        ``streams``: by ident; only add_message takes those of None.
+        """
+        if add_columns is None:
+            return row
+        before = -1
+        while row != before:
+            before = row
+            row = add_columns(self._chunk, *rows, row, streams, self._chunk_bytes, self._large)
+            self.end_full_chunk()
+        return row
 
     def end_full_chunk(self) -> None:
         """Write the chunk if it has its size."""

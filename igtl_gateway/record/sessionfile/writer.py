@@ -25,7 +25,7 @@ from igtl_gateway.base.systems.files import sync_folder
 from igtl_gateway.base.version import __version__
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile import layout
-from igtl_gateway.record.sessionfile.chunk_rows import RowStream
+from igtl_gateway.record.sessionfile.chunk_rows import MessageRows, RowStream
 from igtl_gateway.record.sessionfile.compression import Compression
 from igtl_gateway.record.sessionfile.definition import Definition
 from igtl_gateway.record.sessionfile.layout import CHUNK_BYTES, LayoutError
@@ -201,6 +201,19 @@ class SessionWriter:
             self.end_ns = last_ns
             self.entries += rows
         return place, rows, size
+
+    def add_columns(self, rows: MessageRows, row: int, streams: list[RowStream | None]) -> int:
+        """Add entries from a row on, as :meth:`write` would, up to one that only it takes; return the row of that.
+
+        ``streams``: by ident, as of :meth:`row_stream`; only :meth:`write` takes those of None.  Raises RecordingError.
+        """
+        with self._disk_errors():
+            end = self._mcap.add_columns(rows, row, streams)
+        if end > row:
+            self.start_ns = self.start_ns or int(rows.times[row])
+            self.end_ns = int(rows.times[end - 1])
+            self.entries += end - row
+        return end
 
     def end_full_chunk(self) -> None:
         """Write what :meth:`add_rows` took as soon as it fills a chunk.  Raises RecordingError."""

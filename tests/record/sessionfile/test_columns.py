@@ -10,12 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.records import Message
 
 from igtl_gateway.base.errors import DamagedRecording, GatewayError
 from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.record.sessionfile import chunks, order
+from igtl_gateway.record.sessionfile import chunks, layout, order
 from igtl_gateway.record.sessionfile import columns as columns_module
 from igtl_gateway.record.sessionfile.columns import EntryColumns, Stream, Unfit, WireHead
+from igtl_gateway.record.sessionfile.copying import CopyWriter
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from tests.places import FIXTURES
@@ -80,7 +82,7 @@ def read_both(path: Path) -> tuple[object, object]:
         objects = drained(fields(entry) for columns in file.columns() for entry in columns.entries())
         other = drained(by_columns(file))
     assert objects == one
-    if other != one:  # a message that is not as its fields state is found before those before it in the chunk
+    if other != one:  # the columns of a chunk with a message that is not as its fields state are not returned
         assert other[1] == one[1] and other[0] == one[0][: len(other[0])] and "entry" in one[1]
     return one
 
@@ -106,6 +108,34 @@ def test_chunks_that_overlap_or_are_large(
         parts.append(Chunk((*DEFINITIONS, *messages(*stamps)), chance.choice(("", "lz4", "zstd"))))
     (tmp_path / "a.mcap").write_bytes(bag(*parts).finish())
     read_both(tmp_path / "a.mcap")
+
+
+def test_the_earlier_of_two_faults_in_a_chunk_is_named(tmp_path: Path) -> None:
+    """A note that cannot be decoded, and behind it a RawMessage that is not as its fields state."""
+    path = tmp_path / "a.mcap"
+    with (
+        SessionFile.open(FIXTURES / "star.mcap") as file,
+        CopyWriter(path, "ros2", "test", dict(file.recorded_session), compression="none") as writer,
+    ):
+        note = wire = 0
+        for at, (schema, channel, row) in enumerate(islice(file.messages(), 100), 1):
+            _, sequence, log_ns, publish_ns, begin, end, data = row
+            assert schema
+            if schema.name == layout.NOTE_TYPE and at > 5 and not note:
+                note, end = at, end - 1
+            elif schema.name == layout.RAW_MESSAGE_TYPE and note and not wire:
+                wire, end = at, end - 1
+            writer.write(schema, channel, Message(channel.id, log_ns, data[begin:end], publish_ns, sequence))
+        writer.close({})
+    assert 0 < note < wire
+    with SessionFile.open(path) as file:
+        columns = next(file.columns())
+        assert len(columns) > wire
+        with pytest.raises(DamagedRecording, match=r"entry .*: Note") as refused:
+            columns.wire()
+        with pytest.raises(DamagedRecording) as expected:
+            list(file.entries())
+        assert str(refused.value) == str(expected.value)
 
 
 @pytest.mark.slow
