@@ -1,4 +1,4 @@
-"""The black box: its rules, its windows, and what its files state."""
+"""The black box: its windows, and what its files state."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ import pytest
 
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.clock import ManualClock, SystemClock
-from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli import main
-from igtl_gateway.config.triggers import KINDS, Trigger, text_of_table, trigger
-from igtl_gateway.convert.common_msgs import DiagnosticArray, OperatingState, WrenchStamped
+from igtl_gateway.config.triggers import trigger
+from igtl_gateway.convert.common_msgs import DiagnosticArray
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.marks import MarkNote
-from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.black_box import MAX_PER_MINUTE, BlackBox
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
@@ -30,7 +29,7 @@ from igtl_gateway.record.reports import FAILED
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.schemas import RosTypes
 from igtl_gateway.record.sessionfile.writer import SessionWriter
-from igtl_gateway.record.triggers import _CONCERNS, _LOOKS, INCOMPLETE, SAVED, TRIGGERED, Triggers
+from igtl_gateway.record.triggers import INCOMPLETE, SAVED, TRIGGERED, Triggers
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import Status
 from tests.record import samples
@@ -43,128 +42,8 @@ from tools.evidence.trigger_worlds import QUICK, run
 NS = 1_000_000_000
 
 
-def _note(code: str, kind: Kind = Kind.EDGE_NOTE, stream: str = "", **data: object) -> Entry:
-    return Entry(1, 7, kind, payload=(Note(Level.WARN, code, f"text of {code}", stream, dict(data)).pack(),))
-
-
-def _ros(topic: str, ros_type: str, cdr: bytes, kind: Kind = Kind.ROS_IN) -> Entry:
-    return Entry(1, 7, kind, topic, ros_type, (cdr,))
-
-
-def _diagnostics(level: int, name: str = "motor") -> Entry:
-    array = DiagnosticArray(Header(), (DiagnosticStatus(level, name, "hot"),))
-    return _ros("/diagnostics", DiagnosticArray.TYPE, array.pack())
-
-
 def _status(code: int) -> Entry:
     return Entry(1, 7, Kind.IGTL_IN, "STATUS/Arm", "STATUS", (join(encode(Message("STATUS", "Arm", Status(code)))),))
-
-
-def _state(state: str) -> Entry:
-    return _ros("/PSM1/operating_state", OperatingState.TYPE, OperatingState(Header(), state).pack())
-
-
-def _force(z: float) -> Entry:
-    return _ros("/force", WrenchStamped.TYPE, WrenchStamped(Header(), (0.0, 0.0, z, 0.0, 0.0, 0.0)).pack())
-
-
-VALUE = "value=/force,field=wrench.force.z,above=5"
-
-
-@table(
-    ("rule", "entries", "fires"),
-    [
-        ("guard", [_note("stamp_backwards", Kind.NOTE, "TRANSFORM/a"), _note("calm"), _note("bad_crc")], [0]),
-        ("guard=*/b", [_note("stale", Kind.NOTE, "TRANSFORM/a"), _note("stale", Kind.NOTE, "TRANSFORM/b")], [1]),
-        ("link_down", [_note("link_up", Kind.LINK, peer="1.2.3.4:5"), _note("link_down", Kind.LINK, peer="a:5")], [1]),
-        ("link_down=1.2.*", [_note("link_down", Kind.LINK, peer="1.2.3.4:5"), _note("link_down", Kind.LINK)], [0]),
-        ("link_down", [_note("link_down", Kind.LINK, reason=each) for each in ("stopped", "closed by the peer")], [1]),
-        ("loss", [_note("queue_drop"), _note("tick"), _note("ros_lost")], [0, 2]),
-        ("diagnostics", [_diagnostics(1), _diagnostics(2), _diagnostics(2), _diagnostics(0), _diagnostics(2)], [1, 4]),
-        ("diagnostics=arm*", [_diagnostics(2), _diagnostics(2, "arm 1")], [1]),
-        ("status", [_status(1), _status(13), _status(13), _status(1), _status(2)], [1, 4]),
-        ("status=Other", [_status(13)], []),
-        ("operating_state", [_state("ENABLED"), _state("FAULT"), _state("FAULT")], [1]),
-        ("operating_state=/PSM2/*", [_state("FAULT")], []),
-        (VALUE, [_force(5), _force(5.5), _force(9), _force(1), _force(6)], [1, 4]),
-        ("value=/force,field=wrench.force.z,below=-1,above=1", [_force(0), _force(-2)], [1]),
-        ("value=/force,field=wrench.nothing,above=1", [_force(9)], []),
-        ("value=/force,field=header.frame_id,above=1", [_force(9)], []),
-        ("mark=slip*", [_note("mark", label="slip-2"), _note("mark", label="other")], [0]),
-        ("note=bad_*", [_note("bad_crc", Kind.NOTE), _note("tick"), _note(TRIGGERED), _note(SAVED)], [0]),
-        (
-            "note=link_*",
-            [_note("link_down", Kind.LINK, reason=each) for each in ("stopped", "closed by the peer")],
-            [1],
-        ),
-        ("loss", [_note("truncated", reason=each) for each in ("stopped", "closed by the peer")], [1]),
-        ("note=**", [_note(code) for code in (TRIGGERED, SAVED, INCOMPLETE)], []),
-    ],
-)
-def test_what_triggers(rule: str, entries: list[Entry], fires: list[int]) -> None:
-    triggers = Triggers((trigger(rule),), RosTypes())
-    found = [number for number, entry in enumerate(entries) for _ in triggers.look(entry)]
-    assert found == fires
-
-
-@table(("rule", "why"), [("note=bad_crc", "text of bad_crc"), ("note=bad_*", "bad_crc: text of bad_crc")])
-def test_a_code_stands_once(rule: str, why: str) -> None:
-    (cause,) = Triggers((trigger(rule),), RosTypes()).look(_note("bad_crc"))
-    assert cause.why == why
-
-
-def test_bytes_that_are_not_of_the_type_trigger_nothing() -> None:
-    rules = tuple(map(trigger, ("diagnostics", "status", "operating_state", VALUE)))
-    triggers = Triggers(rules, RosTypes())
-    for entry in (_diagnostics(2), _status(2), _state("FAULT"), _force(9)):
-        short = Entry(1, 7, entry.kind, entry.channel, entry.type, (bytes(join(entry.payload))[:-9],))
-        assert not triggers.look(short)
-
-
-def test_each_kind_is_looked_for() -> None:
-    assert KINDS.keys() == _CONCERNS.keys() == _LOOKS.keys()
-
-
-@table(
-    ("text", "error"),
-    [
-        ("mrak=a", "kind: found 'mrak', expected one of guard, .*; did you mean 'mark'"),
-        ("value=/a", "kind: found value, expected field with it, and below or above"),
-        ("value,field=a,above=1", "pattern: found none, expected a glob of the topic with kind value"),
-        ("mark=a,after=x", "after: found 'x', expected a number"),
-        ("mark=a,after=nan", "after: found 'nan', expected a number"),
-        ("mark=a,before=-1", "before: found -1, expected 0 to 3600 s"),
-        ("mark=a,foo=1", "found 'foo=1' in 'mark=a,foo=1', expected one each of field=, before="),
-        ("mark=a,after=1,after=2", "found 'after=2'"),
-        ("mark=a,above=1", "kind: found mark with field, below or above, expected value with them"),
-        ("value=/a,field=b,below=2,above=1", "below: found 2, expected less than above, 1"),
-    ],
-)
-def test_a_wrong_rule(text: str, error: str) -> None:
-    with pytest.raises(ConfigError, match=error):
-        trigger(text)
-
-
-@table(
-    ("row", "error"),
-    [
-        ({}, "t: found no kind"),
-        ({"kind": "mark", "bfore": 1}, "t.bfore: unknown setting, .*; did you mean 'before'"),
-        ({"kind": "mark", "before": "1"}, "t.before: found '1', expected a number"),
-        ({"kind": "mark", "pattern": 1}, "t.pattern: found 1, expected a string"),
-        ({"kind": "note"}, "t.pattern: found none"),
-        ("mark", r"t: found 'mark', expected a table \[\[trigger\]\]"),
-    ],
-)
-def test_a_wrong_table(row: object, error: str) -> None:
-    with pytest.raises(ConfigError, match=error):
-        text_of_table(row, "t")
-
-
-def test_a_table_is_its_text() -> None:
-    row = {"kind": "value", "pattern": "/f", "field": "a.b", "above": 5, "before": 2.5}
-    assert trigger(text_of_table(row, "t")) == Trigger("value", "/f", 2.5, field="a.b", above=5.0)
-    assert trigger(text_of_table({"kind": "guard"}, "t")) == Trigger("guard")
 
 
 def _play(path: Path, entries: list[Entry], *rules: str) -> list[Note]:

@@ -9,7 +9,6 @@ import random
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +17,6 @@ from rosbags.rosbag2 import Reader
 
 from igtl_gateway.base.clock import ManualClock, SystemClock
 from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.base.untrusted import limits
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.notations import RetentionRule, retention
 from igtl_gateway.gateway.log.note import Note
@@ -26,7 +24,7 @@ from igtl_gateway.record.host import in_process
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.retention.retention import Retention, choose
-from igtl_gateway.record.retention.retention_log import LOG_NAME, RetentionLog
+from igtl_gateway.record.retention.retention_log import LOG_NAME
 from igtl_gateway.record.retention.stored import RecordingFolder, StoredFiles, StoredRecording
 from igtl_gateway.record.seal.keys import SigningKey
 from igtl_gateway.record.sessionfile.reader import SessionFile
@@ -220,23 +218,6 @@ def test_without_a_log_nothing_is_deleted(folder: Path) -> None:
     (folder / LOG_NAME).mkdir()
     report = Retention(folder, retention("1 h"), ManualClock(NOW_NS)).apply()
     assert "without its log" in report.problem and not report.deleted and (folder / "old.mcap").exists()
-
-
-@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda path: os.symlink("/dev/zero", path)])
-def test_a_log_that_is_no_file_states_nothing(tmp_path: Path, make: Callable[[Path], None]) -> None:
-    make(tmp_path / LOG_NAME)
-    assert not RetentionLog(tmp_path).has_deleted("a.mcap")
-
-
-def test_a_log_is_read_from_its_end_as_far_as_the_limit_goes(tmp_path: Path) -> None:
-    log = RetentionLog(tmp_path)
-    log.add(1, "delete", file="first.mcap")
-    os.truncate(log.path, 10_000_000_000)  # a hole: the file takes no room
-    log.add(2, "delete", file="last.mcap")
-    log.add(3, "not deleted", file="kept.mcap")
-    with limits.limits_in_force(replace(limits.current_limits(), free=100_000)):
-        found = [log.has_deleted(name) for name in ("first.mcap", "last.mcap", "kept.mcap")]
-    assert found == [False, True, False]
 
 
 def test_the_recorder_deletes_its_own_parts_by_size_and_never_the_open_one(tmp_path: Path) -> None:
