@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.record.sessionfile.columns import Unfit
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import LeafDecoder, Tolerance
 from igtl_gateway.replay.diff import DiffInput, StreamDiff, diff
@@ -25,6 +26,7 @@ class RecordingDiff:
         streams: differences by kind and stream, also of equal streams.
         stamp_offset_ns: most frequent offset of the stamps in the messages of the other recording.
         offset_ns: mean offset of its gateway times.
+        by_entry: the recordings that could not be read in columns, only entry by entry: those of older versions.
     """
 
     one: Path
@@ -32,6 +34,7 @@ class RecordingDiff:
     streams: tuple[StreamDiff, ...]
     stamp_offset_ns: int
     offset_ns: float
+    by_entry: tuple[Path, ...] = ()
 
     def __repr__(self) -> str:
         different = [stream.stream or stream.kind for stream in self.streams if not stream.equal]
@@ -53,6 +56,8 @@ class RecordingDiff:
             "offset_ns": self.offset_ns,
             "streams": [{**asdict(stream), "equal": stream.equal} for stream in self.streams],
         }
+        if self.by_entry:
+            facts["by_entry"] = [str(path) for path in self.by_entry]
         found: dict[str, Any] = _json_value(facts)
         return found
 
@@ -78,14 +83,22 @@ def compare_sessions(
     if faults := check_recorded([one, other], streams, "streams"):
         raise ConfigError("; ".join(faults))  # "equal" would be about fewer streams than were asked for
     foreign = one.foreign is not other.foreign
-    report = diff(_side(one), _side(other), globs=streams, tolerance=tolerance, foreign=foreign)
+    sides = _side(one), _side(other)
+    report = diff(*sides, globs=streams, tolerance=tolerance, foreign=foreign)
     if streams and not report.streams:  # nothing compared is not equal
         raise ConfigError(f"streams: found {', '.join(map(repr, streams))}, expected a stream of one of the recordings")
-    return RecordingDiff(one.path, other.path, tuple(report.streams), report.stamp_offset_ns, report.offset_ns)
+    by_entry = tuple(file.path for file, side in zip((one, other), sides, strict=True) if side.columns is None)
+    return RecordingDiff(
+        one.path, other.path, tuple(report.streams), report.stamp_offset_ns, report.offset_ns, by_entry
+    )
 
 
 def _side(file: SessionFile) -> DiffInput:
-    return DiffInput(file.entries(), LeafDecoder(file.definitions, units_of(config_to_run(file.session), file)))
+    decoder = LeafDecoder(file.definitions, units_of(config_to_run(file.session), file))
+    try:
+        return DiffInput(file.entries(), decoder, file.columns())
+    except Unfit:
+        return DiffInput(file.entries(), decoder)
 
 
 def _json_value(value: Any) -> Any:

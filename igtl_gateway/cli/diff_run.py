@@ -36,6 +36,8 @@ def _print(options: argparse.Namespace, report: RecordingDiff) -> None:
     )
     if report.stamp_offset_ns:
         print_line(f"  stamps in messages: B is {_signed(report.stamp_offset_ns)} later")
+    for path in report.by_entry:
+        print_line(f"  {path}: an older version, read entry by entry")
     title = ("stream", "A", "B", "missing", "extra", "different", "mm", "deg", "offset", "jitter")
     rows = [title, *(_row(stream, report) for stream in report.streams)]
     print_line(*aligned(rows, left=1))

@@ -253,11 +253,97 @@ done:
     return row < 0 ? NULL : PyLong_FromSsize_t(row);
 }
 
+/* -- equal ranges ------------------------------------------------------------------------------------------------- */
+
+/* ``count`` ranges of some buffers. */
+struct ranges {
+    Py_buffer *buffers;
+    Py_ssize_t buffer_count;
+    const int32_t *which;
+    const int64_t *begins, *ends;
+};
+
+/* The first byte of a range; NULL for one outside of its buffer. */
+static const uint8_t *range_at(const struct ranges *ranges, Py_ssize_t row)
+{
+    const int32_t which = ranges->which[row];
+    const int64_t begin = ranges->begins[row], end = ranges->ends[row];
+    if (which < 0 || which >= ranges->buffer_count || begin < 0 || end < begin || end > ranges->buffers[which].len)
+        return NULL;
+    return (const uint8_t *)ranges->buffers[which].buf + begin;
+}
+
+/* Whether all ranges are in their buffers. */
+static int compare_ranges(const struct ranges *one, const struct ranges *other, Py_ssize_t count, uint8_t *equal)
+{
+    for (Py_ssize_t row = 0; row < count; row++) {
+        const uint8_t *ours = range_at(one, row), *theirs = range_at(other, row);
+        if (!ours || !theirs)
+            return 0;
+        const int64_t size = one->ends[row] - one->begins[row];
+        equal[row] = other->ends[row] - other->begins[row] == size && memcmp(ours, theirs, (size_t)size) == 0;
+    }
+    return 1;
+}
+
+static void release_ranges(struct ranges *ranges)
+{
+    while (ranges->buffer_count)
+        PyBuffer_Release(&ranges->buffers[--ranges->buffer_count]);
+    PyMem_Free(ranges->buffers);
+    ranges->buffers = NULL;
+}
+
+/* (buffers, which, begins, ends) */
+static int hold_ranges(struct buffers *held, struct ranges *ranges, PyObject *const *args, Py_ssize_t count)
+{
+    PyObject *list = PySequence_Fast(args[0], "equal_ranges: expected a sequence of buffers");
+    if (!list)
+        return 0;
+    const Py_ssize_t most = PySequence_Fast_GET_SIZE(list);
+    ranges->buffers = PyMem_Calloc((size_t)most + 1, sizeof *ranges->buffers);
+    if (!ranges->buffers)
+        PyErr_NoMemory();
+    while (ranges->buffers && ranges->buffer_count < most &&
+           PyObject_GetBuffer(PySequence_Fast_GET_ITEM(list, ranges->buffer_count),
+                              &ranges->buffers[ranges->buffer_count], PyBUF_SIMPLE) == 0)
+        ranges->buffer_count++;
+    Py_DECREF(list);
+    return ranges->buffers && ranges->buffer_count == most &&
+           (ranges->which = column(held, args[1], PyBUF_SIMPLE, count, 4)) &&
+           (ranges->begins = column(held, args[2], PyBUF_SIMPLE, count, 8)) &&
+           (ranges->ends = column(held, args[3], PyBUF_SIMPLE, count, 8));
+}
+
+/* (buffers, which, begins, ends, others, which, begins, ends, equal) */
+static PyObject *equal_ranges(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    struct buffers held = {.count = 0};
+    struct ranges one = {0}, other = {0};
+    int right = 0;
+    if (!check_count("equal_ranges", count, 9))
+        return NULL;
+    const Py_buffer *equal = hold(&held, args[8], PyBUF_WRITABLE);
+    if (equal && hold_ranges(&held, &one, args, equal->len) && hold_ranges(&held, &other, args + 4, equal->len)) {
+        Py_BEGIN_ALLOW_THREADS
+        right = compare_ranges(&one, &other, equal->len, equal->buf);
+        Py_END_ALLOW_THREADS
+        if (!right)
+            PyErr_SetString(PyExc_ValueError, "equal_ranges: found a range outside of its buffer");
+    }
+    release_ranges(&one);
+    release_ranges(&other);
+    release(&held);
+    return right ? Py_NewRef(Py_None) : NULL;
+}
+
 /* -- module ------------------------------------------------------------------------------------------------------- */
 
 static PyMethodDef functions[] = {
     {"count_of", count_of, METH_O, "See chunk_columns.py."},
     {"take", (PyCFunction)(void (*)(void))take, METH_FASTCALL, "See chunk_columns.py."},
+    {"equal_ranges", (PyCFunction)(void (*)(void))equal_ranges, METH_FASTCALL, "See chunk_columns.py."},
     {"rows_of", rows_of, METH_O, "See chunk_columns.py."},
     {"unwrap", (PyCFunction)(void (*)(void))unwrap, METH_FASTCALL, "See chunk_columns.py."},
     {NULL, NULL, 0, NULL},

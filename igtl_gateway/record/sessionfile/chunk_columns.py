@@ -9,7 +9,7 @@ folder checks (sizes, counts, limits), and none reads the head of a RawMessage.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -151,6 +151,30 @@ def unwrap(
     return len(channels)
 
 
+def equal_ranges(
+    buffers: Sequence[bytes], which: Any, begins: Any, ends: Any,
+    others: Sequence[bytes], other_which: Any, other_begins: Any, other_ends: Any,
+    equal: Any,
+) -> None:  # fmt: skip
+    """Fill ``equal`` (bool, n): whether two ranges have the same bytes.
+
+    Args:
+        buffers: those that ``which`` (int32, n) numbers; ``begins`` and ``ends`` (int64, n) are places in them.
+        others: likewise of the other ranges.
+
+    Raises ValueError for a range outside of its buffer.
+    """
+    for row in range(len(equal)):
+        one = _range(buffers, which[row], begins[row], ends[row])
+        equal[row] = one == _range(others, other_which[row], other_begins[row], other_ends[row])
+
+
+def _range(buffers: Sequence[bytes], which: int, begin: int, end: int) -> memoryview:
+    if not (0 <= which < len(buffers) and 0 <= begin <= end <= len(buffers[which])):
+        raise ValueError("equal_ranges: found a range outside of its buffer")
+    return memoryview(buffers[which])[begin:end]
+
+
 def _messages(data: bytes) -> Iterator[tuple[int, int, int, int]]:
     """Place, end, log_time and publish_time of each message; of other records, the end behind -1."""
     at = 0
@@ -174,6 +198,6 @@ def _record_end(data: bytes, at: int) -> int:
 
 if not TYPE_CHECKING:
     try:
-        from igtl_gateway.native._columns import count_of, rows_of, take, unwrap  # noqa: F401
+        from igtl_gateway.native._columns import count_of, equal_ranges, rows_of, take, unwrap  # noqa: F401
     except ImportError:  # pragma: no cover - installed without the C part
         pass

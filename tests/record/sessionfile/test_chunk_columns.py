@@ -164,3 +164,23 @@ def test_messages_and_heads_outside_of_their_bytes_are_refused() -> None:
         wrong = [b"head", np.array(offsets), np.array(following, np.int32), last]
         with pytest.raises(ValueError, match="heads outside of their bytes"):
             compiled.unwrap(*arrays(0, 3), *wrong)
+
+
+@given(
+    buffers=st.lists(st.binary(max_size=12), min_size=1, max_size=3),
+    places=st.lists(st.tuples(*[st.integers(-1, 13)] * 6), max_size=8),
+)
+def test_ranges_are_compared_alike(buffers: list[bytes], places: list[tuple[int, ...]]) -> None:
+    columns = [np.array([place[i] for place in places], np.int64) for i in range(6)]
+    one, other = (
+        (buffers, (column[0] % 4).astype(np.int32), column[1], column[2]) for column in (columns[:3], columns[3:])
+    )
+    results: list[object] = []
+    for equal_ranges in (compiled.equal_ranges, PYTHON.equal_ranges):
+        equal = np.zeros(len(places), np.bool_)
+        try:
+            equal_ranges(*one, *other, equal)
+            results.append(equal.tolist())
+        except ValueError as error:
+            results.append(str(error))
+    assert results[0] == results[1]
