@@ -43,6 +43,10 @@ if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile.bulk import MessageBlock as MessageBlock
     from igtl_gateway.record.sessionfile.bulk import block_of as block_of
     from igtl_gateway.record.sessionfile.bulk import check_time as check_time
+    from igtl_gateway.record.sessionfile.bulk import gathered as gathered
+    from igtl_gateway.record.sessionfile.columns import EntryColumns as EntryColumns
+    from igtl_gateway.record.sessionfile.columns import Stream as EntryStream
+    from igtl_gateway.record.sessionfile.columns import Unfit as Unfit
     from igtl_gateway.record.sessionfile.index import read_index as read_index
     from igtl_gateway.record.sessionfile.index import read_record as read_record
     from igtl_gateway.record.sessionfile.index import recover_hint as recover_hint
@@ -67,7 +71,7 @@ if TYPE_CHECKING:
     from igtl_gateway.replay.state_before import with_state as with_state
 
 #: Names that are others there; the rest of the group is above.
-__all__ = ["file_identity", "is_of_recording", "open_recording", "recording_name"]
+__all__ = ["EntryStream", "file_identity", "is_of_recording", "open_recording", "recording_name"]
 
 HOMES: Homes = (
     # Recordings, for who does not need entries: those of the Python API
@@ -77,7 +81,8 @@ HOMES: Homes = (
     # Sessions: entries as they are in the file
     ("record.sessionfile.reader", "SessionFile"),
     ("record.sessionfile", "layout"),
-    ("record.sessionfile.bulk", "MessageBlock block_of check_time"),
+    ("record.sessionfile.bulk", "MessageBlock block_of check_time gathered"),
+    ("record.sessionfile.columns", "EntryColumns EntryStream=Stream Unfit"),
     ("record.sessionfile.ranges", "RangeFile named"),
     ("gateway.log.entry", "Entry Kind"),
     ("gateway.log.note", "Level Note"),

@@ -5,6 +5,7 @@ New classes are made of ``Struct`` and its kinds of fields.
 
 from __future__ import annotations
 
+from igtl_gateway.convert.cdr_rows import CdrRows
 from igtl_gateway.convert.common_msgs import (
     CameraInfo,
     CompressedImage,
@@ -76,6 +77,7 @@ __all__ = [
     "Bind",
     "CameraInfo",
     "Capability",
+    "CdrRows",
     "ColorTable",
     "Command",
     "CommandReply",

@@ -23,6 +23,10 @@ class Once:
         mine = object()
         return self._seen.setdefault(key, mine) is mine  # one operation, because there is no lock
 
+    def is_over(self, *key: Hashable) -> bool:
+        """Return whether ``first`` is false for this key."""
+        return key in self._seen or (self._most is not None and len(self._seen) >= self._most)
+
     def forget(self) -> None:
         """Forget all keys, so that every fact is reported once more."""
         self._seen.clear()

@@ -87,7 +87,11 @@ class TransformStamped:
 
     @classmethod
     def unpack(cls, cdr: Buffer) -> Self:
-        read = CdrReader(cdr, cls.TYPE)
+        return cls.read(CdrReader(cdr, cls.TYPE))
+
+    @classmethod
+    def read(cls, read: CdrReader) -> Self:
+        """Read all fields."""
         header, child = Header.read(read), read.string()
         values = read.unpack("7d", 8)
         return cls(header, child, values[:3], values[3:])

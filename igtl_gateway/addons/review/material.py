@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from igtl_gateway.addon import NS_PER_S, ConfigError, ConversionError, GatewayError, did_you_mean, near_streams
 from igtl_gateway.addon.messages import frame_id
-from igtl_gateway.addon.reading import Entry, Kind
+from igtl_gateway.addon.reading import Entry, EntryStream, Kind
 from igtl_gateway.addon.ros import PointCloud2
 from igtl_gateway.addon.streams import StreamTimes
 from igtl_gateway.addons.review.addon import NO_CLOUD, NO_PLAN
@@ -33,6 +33,7 @@ Array = npt.NDArray[Any]
 #: Last time that a stamp of OpenIGTLink can state, in 2106.  Later ones count as this one, so that the difference of
 #: any two times of a session, also of those in ROS messages (1901 to 2038), is an integer of 64 bits.
 _LAST_NS = (1 << 32) * NS_PER_S - 1
+_ROS = frozenset({Kind.ROS_IN, Kind.ROS_OUT})
 _MAX_VERSIONS = 200  # of one stream
 _NEAR_M = 0.03  # largest distance of a plan's points from the observed depth
 _HIT_RADIUS = 0.01  # as x / z: radius around a point in which the depth is observed
@@ -96,9 +97,14 @@ class Material:
         self._bad: set[str] = set()
         self._others: dict[str, set[str]] = {"cloud": set(), "plan": set()}  # topics that were not selected
 
+    @staticmethod
+    def reads(stream: EntryStream) -> bool:
+        """Whether entries of a stream are more than nothing to ``take``."""
+        return stream.kind in _ROS and stream.type in {*POSES, *PLANS, PointCloud2.TYPE}
+
     def take(self, entry: Entry) -> None:
         """Read an entry; only ROS messages are used."""
-        if entry.kind is not Kind.ROS_IN and entry.kind is not Kind.ROS_OUT:
+        if entry.kind not in _ROS:
             return
         if entry.stamp_ns > _LAST_NS:
             entry = replace(entry, stamp_ns=_LAST_NS)

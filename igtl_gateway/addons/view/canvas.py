@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -17,12 +16,9 @@ from igtl_gateway.addon.processes import Once
 from igtl_gateway.addons.view.colours import SERIES
 from igtl_gateway.addons.view.contents import FRAMES, LOG, EntityKind, SessionContents, ShownTopic, escape_path_part
 from igtl_gateway.addons.view.pen import MAX_ENTITIES, Pen, Pose, Xyz
+from igtl_gateway.addons.view.trails import Trail
 
-NS_PER_MS = 1_000_000
-
-#: A trail: its length in time, the time between its points, and the time between two drawings.
-TRAIL_NS, _STEP_NS, _DRAW_NS = 5_000 * NS_PER_MS, 20 * NS_PER_MS, 100 * NS_PER_MS
-
+HUGE = 1e18  #: its square fits into float32
 #: Number of points that are sampled for a box; from _MANY points on, outliers are left out.
 _SAMPLE, _MANY = 2000, 500
 #: Coordinates beyond this distance, in metres, are invalid and do not count for the eye of a view.
@@ -50,17 +46,10 @@ class Options:
     plain: bool = False
 
 
-@dataclass(slots=True)
-class _Trail:
-    """The latest positions of a tool."""
-
-    points: deque[tuple[int, Xyz]] = field(default_factory=deque)
-    drawn_ns: int = 0
-    frame: str = ""
-
-
 class RobotModels(Protocol):
     """The robots of a session (`igtl_gateway.addons.view.robots`), for the functions that draw their messages."""
+
+    def __bool__(self) -> bool: ...
 
     def describe(self, data: str | bytes, namespace: str, canvas: Canvas, urdf: Path | None = None) -> None:
         """Take a robot description (URDF)."""
@@ -93,7 +82,7 @@ class Canvas:
         self._once = Once(_ONCES)
         self.colour = SERIES[number % len(SERIES)]
         self._seen = seen
-        self._trails: dict[str, _Trail] = {}
+        self._trails: dict[str, Trail] = {}
         self._parts: dict[str, str] = {}  # name → part of a path
         self._taken: set[str] = set()
         self._paths = {"": shown.path}  # child → its entity
@@ -145,16 +134,16 @@ class Canvas:
             self.pen.set_default_frame(path, frame)
         where: tuple[Any, ...] = (rr.CoordinateFrame(frame),) if frame else ()
         self.pen.log(path, *where, *archetypes)
-        self.rows += not child
+        self._drawn(child)
 
     def static(self, archetype: Any, child: str = "") -> None:
         """Log static data: only for an archetype that no row of the entity has."""
         self.pen.static(self._path(child), archetype)
 
-    def numbers(self, values: Sequence[float], child: str = "") -> None:
+    def numbers(self, values: Sequence[Any], child: str = "") -> None:
         """Log a row of numbers for a plot over time."""
         self.pen.numbers(self._path(child), values)
-        self.rows += not child
+        self._drawn(child)
 
     def text(self, text: str, level: str = "INFO", colour: int | None = None) -> None:
         """Write a line to the log of the session."""
@@ -165,20 +154,24 @@ class Canvas:
         if self._once.first(about or text):
             self.text(text)
 
-    def tool(self, pose: Xyz, frame: str, child: str = "", *, labelled: bool = True) -> None:
+    def is_pose(self, pose: Sequence[Any]) -> bool:
+        """Return whether the numbers are finite in float32 and the quaternion is not zero."""
+        return all(abs(part) < HUGE for part in pose) and any(pose[3:])
+
+    def tool(self, pose: Sequence[Any], frame: str, child: str = "", *, labelled: bool = True) -> None:
         """Draw the axes of a tool and its trail.
 
         Args:
-            pose: x, y, z in metres, quaternion x, y, z, w.
+            pose: x, y, z in metres, quaternion x, y, z, w; columns for many messages.
             frame: parent frame of the pose.
             child: entity below the topic, for topics with several tools.
             labelled: label the axes with the path of the entity, for frames without a name.
         """
         path = self._path(child)
         self.pen.set_default_frame(path, frame)
-        self.pen.pose(path, Pose(frame, f"/{path}" if labelled else "", pose[:3], pose[3:], self.options.axis_m))
-        self.rows += not child
-        if self.options.trails and self.pen.stamp_ns:
+        self.pen.pose(path, Pose(frame, f"/{path}" if labelled else "", pose, self.options.axis_m))
+        self._drawn(child)
+        if self.options.trails:
             self._trail(child, frame, pose[:3])
 
     def box(self, places: npt.NDArray[Any]) -> None:
@@ -193,19 +186,27 @@ class Canvas:
         (a, b, c), (d, e, f) = low.tolist(), high.tolist()
         self.shown.low, self.shown.high = (a, b, c), (d, e, f)
 
-    def extend_box(self, place: Xyz) -> None:
-        """Extend the bounding box by one position: faster than ``box`` for streams of poses."""
-        low, high = self.shown.low, self.shown.high
-        x, y, z = place
-        if max(abs(x), abs(y), abs(z)) >= _FAR_M:
-            return
-        if low is None or high is None:
-            self.shown.low = self.shown.high = (x, y, z)
-        elif not (low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]):
-            self.shown.low = (min(low[0], x), min(low[1], y), min(low[2], z))
-            self.shown.high = (max(high[0], x), max(high[1], y), max(high[2], z))
+    def extend_box(self, place: Sequence[Any]) -> None:
+        """Extend the bounding box by one position: faster than ``box`` for streams of poses; columns for many."""
+        if self.pen.rows:
+            places = np.stack(place, axis=1)
+            places = places[(np.abs(places) < _FAR_M).all(axis=1)]
+            if len(places):
+                self._extend(places.min(axis=0).tolist(), places.max(axis=0).tolist())
+        elif max(map(abs, place)) < _FAR_M:
+            self._extend(place, place)
 
-    def link(self, child: str, frame: str, pose: Xyz, *, static: bool = False, modelled: bool = False) -> None:
+    def _extend(self, least: Xyz, most: Xyz) -> None:
+        low, high = self.shown.low, self.shown.high
+        if low is None or high is None:
+            (a, b, c), (d, e, f) = least, most
+        else:
+            (a, b, c), (d, e, f) = map(min, low, least), map(max, high, most)
+        self.shown.low, self.shown.high = (a, b, c), (d, e, f)
+
+    def link(
+        self, child: str, frame: str, pose: Sequence[Any], *, static: bool = False, modelled: bool = False
+    ) -> None:
         """Log one edge of the transform tree: the pose of the frame ``child`` in the frame ``frame``.
 
         Each frame has one entity.  If several topics publish a frame, the first of them counts; every topic that
@@ -217,22 +218,42 @@ class Canvas:
             if owner == MODEL:
                 self.text_once(f"moves {child} and other links: joint states do not move them now", "takes a robot")
             owner = self.pen.owners[child] = MODEL if modelled else self.shown.path
+            self.pen.changes += 1
         if not child or child == frame or owner != (MODEL if modelled else self.shown.path):
             return
         path = self._seen.frames.get(child)
         if path is None:
             path = self._seen.frames[child] = self.pen.unique_path(f"{FRAMES}/{escape_path_part(child)}")
         self._seen.parents[child] = frame
-        self._seen.places[child] = tuple(pose)
+        self._seen.places[child] = tuple(float(each[-1]) for each in pose) if self.pen.rows else tuple(pose)
         axis_m = self.pen.link_axes.get(child)
         drawn_m = self.options.axis_m if axis_m is None else axis_m
-        pose_drawn = Pose(frame, child, pose[:3], pose[3:], drawn_m, labelled=axis_m is None)
+        pose_drawn = Pose(frame, child, pose, drawn_m, labelled=axis_m is None)
         if static and not self.pen.has_begun(path):  # a robot may have had a pose for it before
             self.pen.static_pose(path, pose_drawn)
         else:
             self.pen.set_default_frame(path, child)
             self.pen.begin(path, pose_drawn)
             self.pen.pose(path, pose_drawn)
+
+    def is_settled(self, child: str, *, static: bool) -> bool:
+        """Return whether ``link`` draws a pose of the frame ``child`` as it drew the last one, or draws none."""
+        child = self.pen.displayable(child.lstrip("/"))
+        owner = self.pen.owners.get(child)
+        return owner != MODEL and owner is not None and (owner != self.shown.path or not static)
+
+    def is_trailed(self, child: str) -> bool:
+        """Return whether a tool leaves no trail, or left one before."""
+        return not self.options.trails or _trail_of(child) in self._paths
+
+    def has_stated(self, about: str) -> bool:
+        """Return whether ``text_once`` writes nothing about this."""
+        return self._once.is_over(about)
+
+    def _drawn(self, child: str) -> None:
+        """Count the rows of the topic."""
+        if not child:
+            self.rows += len(self.pen.rows) if self.pen.rows else 1
 
     def _path(self, child: str) -> str:
         """Return the path of the topic's entity, or of the entity ``child`` below it."""
@@ -241,21 +262,28 @@ class Canvas:
             path = self._paths[child] = self.pen.unique_path(f"{self.shown.path}/{child}")
         return path
 
-    def _trail(self, child: str, frame: str, place: Xyz) -> None:
+    def _trail(self, child: str, frame: str, place: Sequence[Any]) -> None:
         trail = self._trails.get(child)
         if trail is None:
-            trail = self._trails[child] = _Trail(frame=frame)
-        now = self.pen.stamp_ns
-        if trail.frame != frame:
-            trail.points.clear()
-            trail.frame = frame
-        if trail.points and now - trail.points[-1][0] < _STEP_NS:
-            return
-        trail.points.append((now, place))
-        while now - trail.points[0][0] > TRAIL_NS:
-            trail.points.popleft()
-        if now - trail.drawn_ns >= _DRAW_NS and len(trail.points) > 1:
-            trail.drawn_ns = now
-            strip = np.array([point for _, point in trail.points], np.float32)
-            lines = rr.LineStrips3D([strip], colors=[self.colour], radii=[rr.Radius.ui_points(1.5)])
-            self.log(lines, child=f"{child}/trail" if child else "trail", frame=frame)
+            trail = self._trails[child] = Trail()
+        pen, rows = self.pen, self.pen.rows
+        if rows is None:
+            if not pen.stamp_ns:
+                return
+            stamps, places = np.array([pen.stamp_ns]), np.array([place], np.float32)
+        else:
+            stamps, places = rows.stamps, np.stack(place, axis=1)
+        part = _trail_of(child)
+        for row, line in trail.lines(frame, stamps, places):
+            if rows is not None:
+                pen.at_row(rows, row)
+            path = self._path(part)
+            pen.set_default_frame(path, frame)
+            pen.trail(path, frame, self.colour, line)
+        if rows is not None:
+            pen.at_rows(rows)
+
+
+def _trail_of(child: str) -> str:
+    """Return the entity below the topic with the trail of a tool."""
+    return f"{child}/trail" if child else "trail"

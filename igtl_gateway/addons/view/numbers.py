@@ -35,7 +35,7 @@ def draw_joints(message: JointState, canvas: Canvas) -> None:
     canvas.robots.move(message.name, message.position.tolist(), canvas)
 
 
-def _joint_curves(canvas: Canvas, names: tuple[str, ...], values: list[float], unit: str, child: str) -> None:
+def _joint_curves(canvas: Canvas, names: tuple[str, ...], values: list[Any], unit: str, child: str) -> None:
     """Draw a curve for each joint, by its name: another message may have them in another order, or other ones.
 
     Joints of another arm have curves of their own, ``<number>``; the curve of a joint that a message does not have has
@@ -84,7 +84,7 @@ def draw_buttons(message: Joy, canvas: Canvas) -> None:
     values = [*message.axes.tolist(), *message.buttons.tolist()]
     axes = len(message.axes)
     names = [f"axis {number}" if number <= axes else f"button {number - axes}" for number in range(1, len(values) + 1)]
-    _curves(canvas, list(map(float, values)), names)
+    _curves(canvas, values, names)
 
 
 def draw_wrench(message: WrenchStamped, canvas: Canvas) -> None:
@@ -127,7 +127,7 @@ def _array(values: npt.NDArray[Any], sizes: Sequence[int], canvas: Canvas) -> No
         canvas.log(rr.BarChart(flat))
 
 
-def _curves(canvas: Canvas, values: Sequence[float], names: Sequence[str] = (), child: str = "") -> None:
+def _curves(canvas: Canvas, values: Sequence[Any], names: Sequence[str] = (), child: str = "") -> None:
     """Draw a curve for each value; a message whose length differs from the first gets separate curves, ``<length>``."""
     if not values:
         return

@@ -1,14 +1,14 @@
 """The pen: writes to a rerun recording stream, with time lines, and with columns for frequent rows.
 
-A call of ``rerun.log`` costs about 100 µs: little for a cloud, too much for a pose.  Poses and numbers are collected
-and sent as columns, which costs a hundredth.
+A call of ``rerun.log`` costs about 100 µs: little for a cloud, too much for a pose.  Poses, numbers and trails are
+collected and sent as columns, which costs a hundredth.  Of many messages at once (``at_rows``) a number is a column.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ import rerun as rr
 from igtl_gateway.addon import NS_PER_S, ConversionError
 from igtl_gateway.addon.reading import Entry
 from igtl_gateway.addons.view.colours import INFO
+from igtl_gateway.addons.view.columns import LINES, NUMBERS, POSES, SIZES, Collected, RowKind, Rows, times_of
 from igtl_gateway.addons.view.contents import PLACES
 
 #: The time lines: gateway time, the source stamp (if the sender set one), and the entry number.
@@ -28,10 +29,8 @@ LAST_NS = 1 << 62
 
 MAX_ENTITIES = 20_000
 
-#: Number of rows of one entity that are collected before they are sent.
-_ROWS = 2048
-
 Xyz = Sequence[float]
+Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,18 +40,21 @@ class Pose:
     Attributes:
         parent: the parent frame.
         child: the frame, which labels the axes; "" = the implicit frame of the entity, without a label.
-        xyz: position in metres.
-        quaternion: x, y, z, w.
+        numbers: position in metres, quaternion x, y, z, w; columns for many rows.
         axis_m: length of the axes in metres; 0 = no axes.
         labelled: show the name of ``child`` at the axes.
     """
 
     parent: str
     child: str
-    xyz: Xyz
-    quaternion: Xyz
+    numbers: Sequence[Any]
     axis_m: float
     labelled: bool = True
+
+    @property
+    def look(self) -> tuple[str, str, float, bool]:
+        """All but the numbers."""
+        return self.parent, self.child, self.axis_m, self.labelled
 
 
 #: Characters that the built-in font of the rerun viewer does not have: all but Latin, Greek, Cyrillic and some signs.
@@ -62,15 +64,11 @@ _STRANGE = re.compile(r"[^\n\t\x20-\u024f\u0370-\u052f\u2010-\u2026\u20ac\u2190-
 _NO_TEXT = re.compile("[\ud800-\udfff]")
 
 
-@dataclass(slots=True)
-class _Column:
-    """Collected rows of one entity: entry number, gateway time, source stamp (0 = unset), values."""
-
-    rows: list[tuple[int, int, int, Any]] = field(default_factory=list)
-
-
 class Pen:
-    """Draws into one recording; each row has the times of the entry that was last passed to ``at``."""
+    """Draws into one recording; each row has the times of the entry that was last passed to ``at``.
+
+    Between ``at_rows`` and the next ``at``, a call of ``pose``, ``numbers`` or ``sizes`` adds a row for each message.
+    """
 
     def __init__(self, recording: rr.RecordingStream, *, plain: bool = False) -> None:
         self.recording = recording
@@ -82,8 +80,11 @@ class Pen:
         self.owners: dict[str, str] = {}  # frame → topic that publishes its pose
         self.link_axes: dict[str, float] = {}  # link of a robot → length of its axes in metres
         self.cameras: set[str] = set()  # frames with a pinhole
+        self.rows: Rows | None = None
+        self.changes = 0  # of what frames are of, and of how they look
         self._times_set: tuple[int, int, int] | None = None
-        self._waiting: dict[tuple[str, str], _Column] = {}
+        self._waiting: dict[tuple[str, str], Collected] = {}
+        self._table: tuple[Any, str, Array] = ((), "", np.empty(0))
         self._paths: set[str] = set()
         self._numbers: dict[str, int] = {}  # path → the number that was not tried yet
         self._placed: set[str] = set()
@@ -120,7 +121,8 @@ class Pen:
         place = f"{PLACES}/{path}/frame"
         if place not in self._placed:
             self._placed.add(place)
-            self.static(place, _transform(pose))
+            first = [each[0] for each in pose.numbers] if self.rows else pose.numbers
+            self.static(place, _transform(replace(pose, numbers=first)))
 
     def has_begun(self, path: str) -> bool:
         """Return whether ``begin`` was called: static data of the frame at its own entity would be an error."""
@@ -128,10 +130,22 @@ class Pen:
 
     def at(self, entry: Entry) -> None:
         """Set the times of the following rows from this entry; a ``timeless`` stamp is left out."""
+        self.rows = None
         self.number = entry.seq
         self.stamp_ns = 0 if timeless(entry.stamp_ns) else entry.stamp_ns
         self.begin_ns = self.begin_ns or self.stamp_ns
         self.source_ns = 0 if timeless(entry.source_ns) else entry.source_ns
+
+    def at_rows(self, rows: Rows) -> None:
+        """Set the times of the following rows from many messages; their stamps are none that is ``timeless``."""
+        self.rows = rows
+
+    def at_row(self, rows: Rows, row: int) -> None:
+        """Set the times of the following rows from one of many messages."""
+        self.rows = None
+        self.number, self.stamp_ns, self.source_ns = (
+            int(each[row]) for each in (rows.numbers, rows.stamps, rows.sources)
+        )
 
     def moment(self, time_ns: int) -> None:
         """Set the times of the following rows to a moment of the gateway's time, UTC ns."""
@@ -149,16 +163,24 @@ class Pen:
 
     def pose(self, path: str, pose: Pose) -> None:
         """Add a row with axes."""
-        self._wait((path, "named pose" if pose.child else "pose"), pose)
+        self._wait((path, "named" if pose.child else ""), POSES, pose.look, pose.numbers)
 
     def static_pose(self, path: str, pose: Pose) -> None:
         """Send static axes."""
         axes = rr.TransformAxes3D(pose.axis_m, show_frame=pose.labelled)
         self.static(path, rr.CoordinateFrame(pose.child), axes, _transform(pose))
 
-    def numbers(self, path: str, values: Sequence[float]) -> None:
+    def numbers(self, path: str, values: Sequence[Any]) -> None:
         """Add one value to each of several series, NaN for none."""
-        self._wait((path, f"numbers {len(values)}"), values)
+        self._wait((path, f"numbers {len(values)}"), NUMBERS, (), values)
+
+    def sizes(self, path: str, size: int) -> None:
+        """Add a row with the size of a message in bytes for the selection panel, without a drawing."""
+        self._wait((path, "size"), SIZES, (), (size,))
+
+    def trail(self, path: str, frame: str, colour: int, places: Array) -> None:
+        """Add a row with a line through (n, 3) places in a frame, metres."""
+        self._wait((path, "trail"), LINES, (frame, colour), places)
 
     def series(self, path: str, times_ns: npt.NDArray[np.int64], values: npt.NDArray[np.float64]) -> None:
         """Send (N,) values at (N,) gateway times, UTC ns; those outside the time lines are left out."""
@@ -187,9 +209,9 @@ class Pen:
 
     def flush(self) -> None:
         """Send the collected rows."""
-        for key, column in self._waiting.items():
-            if column.rows:
-                self._send(key, column)
+        for (path, _), collected in self._waiting.items():
+            if collected.count:
+                self._send(path, collected)
 
     def _set_time(self) -> None:
         times = (self.number, self.stamp_ns, self.source_ns)
@@ -203,29 +225,39 @@ class Pen:
             else:
                 self.recording.disable_timeline(line)
 
-    def _wait(self, key: tuple[str, str], values: Any) -> None:
-        column = self._waiting.get(key)
-        if column is None:
-            column = self._waiting[key] = _Column()
-        column.rows.append((self.number, self.stamp_ns, self.source_ns, values))
-        if len(column.rows) >= _ROWS:
-            self._send(key, column)
+    def _wait(self, key: tuple[str, str], kind: RowKind, look: Any, numbers: Any) -> None:
+        collected = self._waiting.get(key)
+        if collected is None:
+            collected = self._waiting[key] = Collected(kind)
+        if self.rows is None:
+            collected.add((self.number, self.stamp_ns, self.source_ns), look, numbers)
+        else:
+            collected.add_rows(self.rows, look, self._tabled(numbers, kind.dtype, len(self.rows)))
+        if collected.count >= kind.most:
+            self._send(key[0], collected)
 
-    def _send(self, key: tuple[str, str], column: _Column) -> None:
-        path, kind = key
-        make = _poses if kind.endswith("pose") else _numbers
-        groups: dict[tuple[bool, bool], list[tuple[int, int, int, Any]]] = {}
-        for row in column.rows:
-            groups.setdefault((row[1] > 0, row[2] > 0), []).append(row)
-        column.rows.clear()
-        for rows in groups.values():  # all rows of a chunk must have the same time lines
-            self.recording.send_columns(path, _times(rows), make([row[3] for row in rows]))
+    def _tabled(self, numbers: Sequence[Any], dtype: str, count: int) -> Array:
+        """Columns, or numbers that are the same in all rows, as a table (rows, numbers)."""
+        known, kind, table = self._table
+        if known is not numbers or kind != dtype or len(table) != count:
+            table = np.empty((count, len(numbers)), dtype)
+            for place, values in enumerate(numbers):
+                table[:, place] = values
+            self._table = numbers, dtype, table
+        return table
+
+    def _send(self, path: str, collected: Collected) -> None:
+        for rows, columns in collected.take():
+            times = [times_of(ENTRY, rows.numbers, is_number=True)]
+            lines = ((GATEWAY_TIME, rows.stamps), (SENDER_TIME, rows.sources))
+            times += [times_of(line, stamps) for line, stamps in lines if stamps[0]]
+            self.recording.send_columns(path, times, columns)
 
 
 def _transform(pose: Pose) -> rr.Transform3D:
-    x, y, z, w = pose.quaternion
+    x, y, z, w = pose.numbers[3:]
     return rr.Transform3D(
-        translation=pose.xyz,
+        translation=pose.numbers[:3],
         quaternion=rr.Quaternion(xyzw=(x, y, z, w)),
         parent_frame=pose.parent,
         child_frame=pose.child or None,
@@ -240,34 +272,3 @@ def valid(text: str) -> str:
 def timeless(time_ns: int) -> bool:
     """Return whether a UTC stamp in nanoseconds is unset or outside the time lines (1970 to 2116)."""
     return not 0 < time_ns <= LAST_NS
-
-
-def _times(rows: list[tuple[int, int, int, Any]]) -> list[rr.TimeColumn]:
-    times = [rr.TimeColumn(ENTRY, sequence=np.array([row[0] for row in rows], np.int64))]
-    for line, column in ((GATEWAY_TIME, 1), (SENDER_TIME, 2)):
-        if rows[0][column]:
-            stamps = np.array([row[column] for row in rows], np.int64)
-            times.append(rr.TimeColumn(line, timestamp=stamps.view("datetime64[ns]")))
-    return times
-
-
-def _poses(values: list[Pose]) -> Any:
-    columns: dict[str, Any] = {
-        "translation": np.array([pose.xyz for pose in values], np.float32),
-        "quaternion": np.array([pose.quaternion for pose in values], np.float32),
-        "parent_frame": [pose.parent for pose in values],
-    }
-    children = [pose.child for pose in values]
-    named = bool(children[0])
-    lengths = np.array([pose.axis_m for pose in values], np.float32)
-    axes = rr.TransformAxes3D.columns(axis_length=lengths, show_frame=[named and pose.labelled for pose in values])
-    if not named:
-        return [*rr.Transform3D.columns(**columns), *axes]
-    columns["child_frame"] = children
-    return [*rr.Transform3D.columns(**columns), *axes, *rr.CoordinateFrame.columns(frame=children)]
-
-
-def _numbers(values: list[Any]) -> Any:
-    table = np.array(values, np.float64)
-    columns = rr.Scalars.columns(scalars=table.reshape(-1))
-    return columns.partition(lengths=[table.shape[1]] * len(table)) if table.shape[1] != 1 else columns

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from igtl_gateway.addon.ros import PoseArray, PoseStamped, TFMessage, TrackingData, TransformStamped
 from igtl_gateway.addons.view.canvas import Canvas
-
-_HUGE = 1e18  #: its square fits into float32
 
 
 def draw_transform(message: TransformStamped, canvas: Canvas) -> None:
@@ -39,20 +38,15 @@ def draw_tf(message: TFMessage, canvas: Canvas) -> None:
     """tf2_msgs/TFMessage: edges of the transform tree."""
     for each in message.transforms:
         frame = canvas.frame(each.header.frame_id)
-        if _is_pose(each.pose):
+        if canvas.is_pose(each.pose):
             canvas.link(each.child_frame_id, frame, each.pose, static=canvas.shown.topic == "/tf_static")
 
 
-def _tool(pose: Sequence[float], frame: str, canvas: Canvas, child: str = "", child_frame: str = "") -> None:
-    if not _is_pose(pose):
+def _tool(pose: Sequence[Any], frame: str, canvas: Canvas, child: str = "", child_frame: str = "") -> None:
+    if not canvas.is_pose(pose):
         canvas.text_once(f"{child or 'tool'}: found {tuple(pose)}, expected a pose", f"place {child}")
         return
     canvas.tool(pose, frame, child, labelled=not child_frame)
     canvas.extend_box(pose[:3])
     if child_frame:
         canvas.link(child_frame, frame, pose)
-
-
-def _is_pose(pose: Sequence[float]) -> bool:
-    """Return whether the numbers are finite in float32 and the quaternion is not zero."""
-    return all(abs(part) < _HUGE for part in pose) and any(pose[3:])

@@ -85,6 +85,10 @@ class Robots:
         self._robots: dict[str, _DrawnRobot] = {}
         self._bindings: dict[tuple[str, tuple[str, ...]], list[_Binding]] = {}
 
+    def __bool__(self) -> bool:
+        """Whether there is one."""
+        return bool(self._robots)
+
     def describe(self, data: str | bytes, namespace: str, canvas: Canvas, urdf: Path | None = None) -> None:
         """Draw a robot.
 
@@ -107,6 +111,7 @@ class Robots:
         taken = any(link in canvas.pen.link_axes for link in links)
         prefix = f"{namespace.strip('/') or model.name}/" if taken else ""
         joints = {joint.name: joint for joint in model.joints}
+        canvas.pen.changes += 1
         robot = self._robots[namespace] = _DrawnRobot(namespace, data, prefix, canvas, joints, {})
         self._bindings.clear()
         canvas.shown.what = EntityKind.ROBOT

@@ -2,25 +2,28 @@
 
 Each ROS message is one row at the entity of its topic, drawn by its row of ``table``.  An OpenIGTLink message is drawn
 as the ROS messages that it was converted to.  Only trails of a few seconds and collected columns are kept in memory,
-whatever the size of the session.
+whatever the size of the session.  ``take`` draws an entry; ``take_columns`` draws many, whose messages of one form are
+drawn at once, with the same result.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 import rerun as rr
 
-from igtl_gateway.addon import NS_PER_S, ConversionError
+from igtl_gateway.addon import ConversionError
 from igtl_gateway.addon.messages import ieee_754
-from igtl_gateway.addon.reading import Entry, Kind, Level, Mark, MarkNote, Note
-from igtl_gateway.addon.streams import StreamTimes, one_clock
+from igtl_gateway.addon.reading import Entry, EntryColumns, Kind, Level, Mark, MarkNote, Note
 from igtl_gateway.addon.untrusted import read_bytes
+from igtl_gateway.addons.view.blocks import NOTES, Block, Stream, Unfit
 from igtl_gateway.addons.view.blueprints import is_camera, target_frame
 from igtl_gateway.addons.view.canvas import Canvas, Options
 from igtl_gateway.addons.view.colours import ERROR, INFO, WARN
@@ -28,7 +31,6 @@ from igtl_gateway.addons.view.contents import (
     DROPS,
     FRAMES,
     LAG,
-    LATENCIES,
     LINKS,
     LOG,
     MARKS,
@@ -42,45 +44,44 @@ from igtl_gateway.addons.view.contents import (
 )
 from igtl_gateway.addons.view.eye import eye_of
 from igtl_gateway.addons.view.pen import GATEWAY_TIME, LAST_NS, SENDER_TIME, Pen, timeless
+from igtl_gateway.addons.view.rates import Rates
 from igtl_gateway.addons.view.robots import Robots
+from igtl_gateway.addons.view.rows import Form, Unlike, drawing_of, stamp_of
 from igtl_gateway.addons.view.ruler import draw_ruler, ruler_of
-from igtl_gateway.addons.view.table import PICTURES, Picture
+from igtl_gateway.addons.view.table import PICTURES, Bulk, Picture
+from igtl_gateway.addons.view.words import ROBOT_DESCRIPTION
 
 if TYPE_CHECKING:
     from igtl_gateway.addons.review import Review
     from igtl_gateway.addons.sync.lag import Lag
     from igtl_gateway.addons.sync.signal import Signal
 
+Array = npt.NDArray[Any]
+Mask = npt.NDArray[np.bool_]
+
 _ROS = frozenset((Kind.ROS_IN, Kind.ROS_OUT))
-_NOTES = frozenset((Kind.LINK, Kind.EDGE_NOTE, Kind.NOTE))
 _RESERVED = frozenset((LOG.partition("/")[0], RATES.partition("/")[0], FRAMES, LAG, PLACES, REVIEW))
 _COLOURS = {Level.INFO: INFO, Level.WARN: WARN, Level.ERROR: ERROR}
 _DROP_WORDS = ("drop", "lost", "full", "missed", "left_out")
 
-#: A gap in a stream, as in ``info``: a pause of more than this many mean intervals and of more than a second.
-_GAP_FACTOR, _RHYTHM = 10, 20
-_NS_PER_MS = 1e6
-#: Maximum number of streams with plots of rate and latency, in case a peer invents names.
-_MAX_PLOTS = 300
+#: Forms of a topic that are kept.
+_MOST_FORMS = 16
+#: Messages that are drawn one by one, although they have one form: fewer cost as much at once.
+_FEW = 4
+#: Share of the entries of a block, and number, above which all are drawn one by one.
+_ALONE, _MOST_ALONE = 16, 32
 
 
 @dataclass(slots=True)
 class _DrawnTopic:
     canvas: Canvas
     picture: Picture | None
+    forms: list[Form] = field(default_factory=list)
 
-
-@dataclass(slots=True)
-class _StreamRate:
-    """Times of the messages of a stream, UTC ns of the gateway."""
-
-    path: str
-    first_ns: int = 0
-    last_ns: int = 0
-    messages: int = 0
-    this_second: int = 0
-    stamped: int = 0
-    least_ns: int = 0
+    @property
+    def bulk(self) -> Bulk:
+        """How its messages are drawn."""
+        return self.picture.bulk if self.picture else Bulk.NONE
 
 
 @dataclass(slots=True)
@@ -129,9 +130,10 @@ class SessionView:
         self._topics: dict[tuple[str, str], _DrawnTopic] = {}
         self._robots = Robots()
         self._siblings: list[_Sibling] = []
-        self._rhythms: dict[tuple[Kind, str], _StreamRate] = {}
-        self._begin_ns = self._second = 0
+        self._rates = Rates(self._pen)
         self._last_number = 0
+        self._inputs = 0
+        self._learns = False  # the forms of what is drawn
         self._pen.static(DROPS, rr.SeriesPoints(markers=["cross"], names=["drops and gaps"]))
 
     @ieee_754
@@ -147,13 +149,24 @@ class SessionView:
             self._drop(missing, f"{missing:,} entries are missing")
         self._last_number = entry.seq
         if entry.kind.is_input:
-            self._siblings.clear()
-        if entry.kind in _NOTES:
+            self._caused_by(self._inputs + 1)
+        if entry.kind in NOTES:
             self._note(entry)
         else:
-            self._count_rate(entry)
+            if silence := self._rates.count(entry):
+                self._drop(1, silence)
             if entry.kind in _ROS:
                 self._message(entry)
+
+    @ieee_754
+    def take_columns(self, columns: EntryColumns) -> None:
+        """Draw many entries, with the result of ``take``.  Raises DamagedRecording, as their entries."""
+        self._learns = True
+        begin = 0
+        with suppress(Unfit):
+            begin = self._take_block(Block.of(columns, self.seen.last_ns))
+        for entry in columns.where(slice(begin, None)).entries():
+            self.take(entry)
 
     @ieee_754
     def flush(self) -> None:
@@ -172,19 +185,7 @@ class SessionView:
 
     def clocks(self) -> tuple[str, ...]:
         """Return sentences on streams whose stamps are of another clock than those of the others."""
-        stamped = [(channel, rhythm) for (_, channel), rhythm in self._rhythms.items() if rhythm.stamped]
-        streams = []
-        for channel, rhythm in stamped:
-            # as many messages as make its least age count, each with this age
-            stamps = np.full(min(rhythm.stamped, 3), LAST_NS // 2, np.int64)
-            streams.append(StreamTimes(channel, stamps + rhythm.least_ns, stamps))
-        found = one_clock(streams)
-        return tuple(
-            f"on the time line {SENDER_TIME}, {stream.name} is {abs(shift_ns) / _NS_PER_MS:,.0f} ms "
-            f"{'before' if shift_ns > 0 else 'after'} the others: its stamps are of another clock"
-            for stream, shift_ns in zip(streams, found.shifts, strict=True)
-            if shift_ns
-        )
+        return self._rates.clocks()
 
     def end(self, why: str) -> None:
         """Log that the session ends here because the rest of it cannot be read."""
@@ -227,6 +228,10 @@ class SessionView:
     # Messages
 
     def _message(self, entry: Entry) -> None:
+        self._draw_message(entry)
+        self._compare(entry.kind, entry.channel, entry.type)
+
+    def _draw_message(self, entry: Entry) -> None:
         try:
             topic = self._topics.get((entry.channel, entry.type)) or self._add_topic(entry)
         except ConversionError:  # too many topics
@@ -241,11 +246,14 @@ class SessionView:
         else:
             try:
                 message = picture.message.unpack(entry.data())
-                stamp_ns = _stamp_ns(message)
+                stamp_ns = stamp_of(message)
                 if stamp_ns and not timeless(stamp_ns):
                     self._pen.source_ns = stamp_ns
                 picture.draw(message, canvas)
                 self.counts.drawn += 1
+                if self._learns and len(topic.forms) < _MOST_FORMS and picture.bulk is not Bulk.NONE:
+                    if form := Form.of(entry.data(), picture, canvas):
+                        topic.forms.append(form)
             except (ConversionError, ValueError) as error:
                 self.counts.refused[entry.channel] += 1
                 summary["error"] = self._pen.displayable(str(error))
@@ -257,8 +265,6 @@ class SessionView:
         shown.last_ns = self._pen.stamp_ns or shown.last_ns
         shown.count += 1
         self.counts.messages[entry.channel] += 1
-        if entry.kind is Kind.ROS_OUT and picture and picture.fullness:
-            self._compare(_Sibling(entry.channel.rpartition("/")[0], picture.fullness, shown))
 
     def _add_topic(self, entry: Entry) -> _DrawnTopic:
         """Set up a topic at its first message."""
@@ -281,14 +287,145 @@ class SessionView:
         topic = self._topics[(entry.channel, entry.type)] = _DrawnTopic(canvas, picture)
         return topic
 
-    def _compare(self, new: _Sibling) -> None:
+    def _compare(self, kind: Kind, channel: str, ros_type: str) -> None:
         """Of the messages converted from one OpenIGTLink message, only the fullest is shown in 3-D."""
+        topic = self._topics.get((channel, ros_type))
+        if kind is not Kind.ROS_OUT or topic is None or topic.picture is None or not topic.picture.fullness:
+            return
+        new = _Sibling(channel.rpartition("/")[0], topic.picture.fullness, topic.canvas.shown)
         for other in self._siblings:
             if other.base == new.base and other.fullness != new.fullness:
                 less = other if other.fullness < new.fullness else new
                 less.shown.outdone += not less.outdone
                 less.outdone = True
         self._siblings.append(new)
+
+    def _caused_by(self, number: int) -> None:
+        """Set the number of inputs so far: what follows is caused by the last one."""
+        if number != self._inputs:
+            self._inputs = number
+            self._siblings.clear()
+
+    # Many messages
+
+    def _take_block(self, block: Block) -> int:
+        """Draw entries up to one from which on they are drawn one by one; return it."""
+        by_itself = block.gaps(self._last_number)
+        for stream in block.streams:
+            if stream.kind not in NOTES:
+                stamps = block.times.stamps[stream.rows]
+                by_itself[stream.rows] |= self._rates.alone((stream.kind, stream.channel), stamps)
+        alone = by_itself.copy()
+        for stream in block.streams:
+            self._look(stream, by_itself, alone, 0)
+        count, begin, before = len(block), 0, self._inputs
+        for _ in range(_MOST_ALONE + count // _ALONE):
+            found = np.flatnonzero(alone[begin:])
+            end = begin + int(found[0]) if len(found) else count
+            if begin < end:
+                self._segment(block, begin, end, before)
+            if end == count:
+                return count
+            changes = self._pen.changes
+            self.take(block.columns.entry(end))
+            begin = end + 1
+            changed = block.streams if self._pen.changes != changes else [block.stream_of(end)]
+            for stream in changed:
+                self._look(stream, by_itself, alone, begin)
+        return begin
+
+    def _look(self, stream: Stream, by_itself: Mask, alone: Mask, begin: int) -> None:
+        """Find which messages of a stream, from the entry ``begin`` on, have no known form: they are drawn alone."""
+        topic = self._topics.get((stream.channel, stream.type))
+        if stream.kind not in _ROS:
+            return
+        later = stream.rows[stream.rows >= begin]
+        if topic is None or stream.channel.endswith(f"/{ROBOT_DESCRIPTION}"):
+            alone[later] = True
+        elif topic.bulk is Bulk.NONE:
+            alone[later] = by_itself[later]
+        else:
+            topic.forms = [form for form in topic.forms if form.changes == self._pen.changes]
+            unknown = stream.find(topic.forms) < 0
+            alone[later] = by_itself[later] | unknown[len(unknown) - len(later) :]
+
+    def _segment(self, block: Block, begin: int, end: int, inputs: int) -> None:
+        """Draw entries, none of which changes how others are drawn; ``inputs``: number of those before the block."""
+        times = block.times.where(slice(begin, end))
+        self.seen.first_ns = self.seen.first_ns or int(times.stamps[0])
+        self.seen.last_ns, self._last_number = int(times.stamps[-1]), int(times.numbers[-1])
+        self._pen.begin_ns = self._pen.begin_ns or int(times.stamps[0])
+        parts = [(stream, stream.between(begin, end)) for stream in block.streams]
+        messages = [(stream, part) for stream, part in parts if stream.kind not in NOTES and part.start < part.stop]
+        self._rates.count_rows(
+            times, [((stream.kind, stream.channel), stream.rows[part] - begin) for stream, part in messages]
+        )
+        in_order = [stream.rows[part] for stream, part in parts if stream.kind in NOTES]
+        drawn: list[tuple[int, Stream]] = []
+        for stream, part in messages:
+            topic = self._topics[stream.channel, stream.type] if stream.kind in _ROS else None
+            if topic is not None and topic.bulk is Bulk.NONE:
+                in_order.append(stream.rows[part])
+            elif topic is not None and topic.picture is not None:
+                self._stream(block, stream, topic, part)
+                if topic.picture.fullness:
+                    drawn += ((row, stream) for row in stream.rows[part].tolist())
+        rows = np.sort(np.concatenate(in_order)) if in_order else np.empty(0, np.int64)
+        entries: Iterator[tuple[int, Entry | Stream]] = zip(
+            rows.tolist(), block.columns.where(rows).entries(), strict=True
+        )
+        for row, what in sorted([*entries, *drawn], key=lambda each: each[0]) if drawn else entries:
+            self._caused_by(inputs + int(block.inputs[row]))
+            if isinstance(what, Entry):
+                self._pen.at(what)
+                if what.kind in NOTES:
+                    self._note(what)
+                    continue
+                self._draw_message(what)
+            self._compare(what.kind, what.channel, what.type)
+        self._caused_by(inputs + int(block.inputs[end - 1]))
+
+    def _stream(self, block: Block, stream: Stream, topic: _DrawnTopic, part: slice) -> None:
+        """Draw messages of a stream whose forms are known."""
+        form = stream.form[part]
+        places = np.arange(part.start, part.stop)
+        if topic.bulk is Bulk.RUNS:
+            batches = np.split(places, np.flatnonzero(np.diff(form)) + 1)
+        else:  # the one whose last message is last comes last: its frame and names are the latest
+            batches = sorted((places[form == number] for number in np.unique(form)), key=lambda batch: int(batch[-1]))
+        for batch in batches:
+            self._batch(block, stream, topic, batch)
+
+    def _batch(self, block: Block, stream: Stream, topic: _DrawnTopic, places: Array) -> None:
+        """Draw messages of one form, at once if that can be."""
+        canvas, picture, count = topic.canvas, topic.picture, len(places)
+        assert picture
+        form = topic.forms[int(stream.form[places[0]])]
+        rows, drawn = stream.rows[places], canvas.rows
+        try:
+            if count < _FEW:
+                raise Unlike
+            messages = stream.messages(places, len(form.sample))
+            draw = drawing_of(messages, picture, canvas, block.times.where(rows))
+        except (Unlike, ConversionError, ValueError) as error:
+            good = getattr(error, "good", None)
+            if good is not None:
+                for run in np.split(places, np.flatnonzero(np.diff(good)) + 1):
+                    self._batch(block, stream, topic, run)
+                return
+            for entry in block.columns.where(rows).entries():
+                self._pen.at(entry)
+                self._draw_message(entry)
+            return
+        draw()
+        if canvas.rows == drawn:  # as of one message
+            self._pen.sizes(canvas.shown.path, len(form.sample))
+            canvas.rows += count
+        shown, stamps = canvas.shown, block.times.stamps[rows]
+        shown.first_ns, shown.last_ns = shown.first_ns or int(stamps[0]), int(stamps[-1])
+        shown.count += count
+        self.counts.drawn += count
+        self.counts.messages[stream.channel] += count
 
     # Facts
 
@@ -323,58 +460,3 @@ class SessionView:
         )
         if in_log:
             self._pen.text(LOG, text, "WARN", WARN)
-
-    # Rates and latencies
-
-    def _count_rate(self, entry: Entry) -> None:
-        now_ns, source_ns = self._pen.stamp_ns, self._pen.source_ns
-        if not now_ns:
-            return
-        key = (entry.kind, entry.channel)
-        rhythm = self._rhythms.get(key)
-        if rhythm is None:
-            if len(self._rhythms) >= _MAX_PLOTS:
-                return
-            rhythm = self._rhythms[key] = _StreamRate(path_of(entry.channel), now_ns, now_ns)
-        self._begin_ns = self._begin_ns or now_ns
-        second = (now_ns - self._begin_ns) // NS_PER_S
-        if second > self._second:
-            self._rates(second)
-        if entry.kind.is_input:
-            if source_ns:
-                age_ns = now_ns - source_ns
-                rhythm.least_ns = min(rhythm.least_ns, age_ns) if rhythm.stamped else age_ns
-                rhythm.stamped += 1
-                self._pen.numbers(f"{LATENCIES}/{rhythm.path}", [(now_ns - source_ns) / _NS_PER_MS])
-            pause = now_ns - rhythm.last_ns
-            if rhythm.messages >= _RHYTHM and pause > NS_PER_S:
-                mean = (rhythm.last_ns - rhythm.first_ns) / (rhythm.messages - 1)
-                if pause > _GAP_FACTOR * mean:
-                    self._drop(1, f"{entry.channel}: silent for {pause / NS_PER_S:.1f} s")
-        rhythm.last_ns = now_ns
-        rhythm.messages += 1
-        rhythm.this_second += 1
-
-    def _rates(self, second: int) -> None:
-        """Log the number of messages of the past second at its end, and zeros at both ends of a longer pause.
-
-        Seconds start at the first message, so that the first second is complete.
-        """
-        now = (self._pen.number, self._pen.stamp_ns, self._pen.source_ns)
-        pause = [self._second + 1, second - 1] if second - self._second > 1 else []
-        for at, counted in ((self._second, True), *((each, False) for each in dict.fromkeys(pause))):
-            end_ns = self._begin_ns + (at + 1) * NS_PER_S - 1
-            self._pen.number, self._pen.stamp_ns, self._pen.source_ns = now[0] - 1, end_ns, 0
-            for (kind, _), rhythm in self._rhythms.items():
-                value = float(rhythm.this_second) if counted else 0.0
-                self._pen.numbers(f"{RATES}/{kind.value}/{rhythm.path}", [value])
-        for rhythm in self._rhythms.values():
-            rhythm.this_second = 0
-        self._pen.number, self._pen.stamp_ns, self._pen.source_ns = now
-        self._second = second
-
-
-def _stamp_ns(message: Any) -> int:
-    """The stamp in the header of a message, or of its first transform, UTC ns; 0 = unset."""
-    first = next(iter(getattr(message, "transforms", ())), message)
-    return int(getattr(getattr(first, "header", None), "stamp_ns", 0))

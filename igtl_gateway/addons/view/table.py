@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any, Protocol
 
 from igtl_gateway.addon import ros
 from igtl_gateway.addon.messages import MULTI_ARRAYS
 from igtl_gateway.addon.reading import Buffer
 from igtl_gateway.addons.view import clouds, markers, numbers, other_msgs, pictures2d, poses, surfaces, volumes, words
-from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.contents import EntityKind
 
 
@@ -27,6 +27,14 @@ class Readable(Protocol):
     def unpack(cls, cdr: Buffer) -> Any: ...
 
 
+class Bulk(Enum):
+    """How many messages of a topic that differ in numbers only are drawn, see ``rows``."""
+
+    NONE = "none"  #: one by one
+    RUNS = "runs"  #: at once, those that follow each other: a trail leads from each to the next
+    FORMS = "forms"  #: at once, all that have the same form
+
+
 @dataclass(frozen=True, slots=True)
 class Picture:
     """One ROS type.
@@ -35,24 +43,26 @@ class Picture:
         message: class of the message.
         what: kind; some functions refine it by the first message.
         draw: draws a message.
+        bulk: how many of them are drawn; with another one than NONE, the class has ``read``.
         fullness: of the messages converted from one OpenIGTLink message, 3-D views show the one with the highest.
     """
 
     message: Any
     what: EntityKind
-    draw: Callable[[Any, Canvas], None]
+    draw: Callable[[Any, Any], None]
     fullness: int = 0
+    bulk: Bulk = Bulk.NONE
 
 
 _ROWS = (
     Picture(ros.PointCloud2, EntityKind.CLOUD, clouds.draw_cloud, 2),
     Picture(ros.PointStamped, EntityKind.POINTS, clouds.draw_point, 1),
     Picture(ros.PointList, EntityKind.POINTS, clouds.draw_point_list, 3),
-    Picture(ros.TransformStamped, EntityKind.POSE, poses.draw_transform),
-    Picture(ros.PoseStamped, EntityKind.POSE, poses.draw_pose),
-    Picture(ros.PoseArray, EntityKind.POSES, poses.draw_poses, 1),
-    Picture(ros.TrackingData, EntityKind.POSES, poses.draw_tracking, 3),
-    Picture(ros.TFMessage, EntityKind.FRAMES, poses.draw_tf),
+    Picture(ros.TransformStamped, EntityKind.POSE, poses.draw_transform, bulk=Bulk.RUNS),
+    Picture(ros.PoseStamped, EntityKind.POSE, poses.draw_pose, bulk=Bulk.RUNS),
+    Picture(ros.PoseArray, EntityKind.POSES, poses.draw_poses, 1, Bulk.RUNS),
+    Picture(ros.TrackingData, EntityKind.POSES, poses.draw_tracking, 3, Bulk.RUNS),
+    Picture(ros.TFMessage, EntityKind.FRAMES, poses.draw_tf, bulk=Bulk.FORMS),
     Picture(ros.Image, EntityKind.IMAGE, pictures2d.draw_image, 1),
     Picture(ros.CompressedImage, EntityKind.VIDEO, pictures2d.draw_compressed_image, 1),
     Picture(ros.CompressedVideo, EntityKind.VIDEO, pictures2d.draw_compressed_video, 2),
@@ -66,12 +76,12 @@ _ROWS = (
     Picture(ros.PolyData, EntityKind.MESH, surfaces.draw_polydata, 3),
     Picture(ros.TrajectoryList, EntityKind.LINES, surfaces.draw_trajectories, 3),
     Picture(other_msgs.Path, EntityKind.LINES, surfaces.draw_path),
-    Picture(ros.JointState, EntityKind.PLOT, numbers.draw_joints),
-    Picture(ros.Sensor, EntityKind.PLOT, numbers.draw_sensor),
-    Picture(other_msgs.Float64, EntityKind.PLOT, numbers.draw_number),
-    Picture(ros.WrenchStamped, EntityKind.PLOT, numbers.draw_wrench),
-    Picture(ros.TwistStamped, EntityKind.PLOT, numbers.draw_twist),
-    Picture(ros.Joy, EntityKind.PLOT, numbers.draw_buttons),
+    Picture(ros.JointState, EntityKind.PLOT, numbers.draw_joints, bulk=Bulk.FORMS),
+    Picture(ros.Sensor, EntityKind.PLOT, numbers.draw_sensor, bulk=Bulk.FORMS),
+    Picture(other_msgs.Float64, EntityKind.PLOT, numbers.draw_number, bulk=Bulk.FORMS),
+    Picture(ros.WrenchStamped, EntityKind.PLOT, numbers.draw_wrench, bulk=Bulk.FORMS),
+    Picture(ros.TwistStamped, EntityKind.PLOT, numbers.draw_twist, bulk=Bulk.FORMS),
+    Picture(ros.Joy, EntityKind.PLOT, numbers.draw_buttons, bulk=Bulk.FORMS),
     Picture(ros.OperatingState, EntityKind.TEXT, words.draw_state),
     Picture(ros.StringStamped, EntityKind.TEXT, words.draw_stamped_string),
     Picture(ros.Empty, EntityKind.TEXT, words.draw_empty),

@@ -6,7 +6,7 @@ import argparse
 import os
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -27,9 +27,11 @@ from igtl_gateway.addon import (
 from igtl_gateway.addon.processes import is_present, missing, part_of
 from igtl_gateway.addon.reading import (
     Entry,
+    EntryColumns,
     Kind,
     RecordedStamps,
     SessionFile,
+    Unfit,
     config_to_run,
     latched_before,
     marked_moment,
@@ -37,6 +39,7 @@ from igtl_gateway.addon.reading import (
     open_recording,
     through_gateway,
 )
+from igtl_gateway.addon.ros import PointCloud2
 from igtl_gateway.addon.settings import Config
 from igtl_gateway.addon.terminal import (
     cell,
@@ -194,7 +197,7 @@ def _draw(
         for word in options.urdf:
             namespace, urdf = _robot(word)
             view.add_robot(urdf, namespace)
-        material = None if options.no_review or not is_present("review") else part_of("review", "material:Material")()
+        material = None if options.no_review else _material(file)
         reported = file.merge.reported if file.merge else []
         damage = _draw_entries(file, config, view, material, stopped)
         if not damage:
@@ -259,13 +262,19 @@ def _draw_entries(file: SessionFile, config: Config, view: SessionView, material
     """Draw all entries up to the first that cannot be read; why it cannot, or ""."""
     progress = _Progress(file.entry_count)
     try:
-        for entry in _entries(file, config):
+        for entries in _entries(file, config):
             if stopped():
                 raise KeyboardInterrupt
-            view.take(entry)
-            if material:
-                material.take(entry)
-            progress.step()
+            if isinstance(entries, Entry):
+                view.take(entries)
+                if material:
+                    material.take(entries)
+            else:
+                view.take_columns(entries)
+                if material:
+                    for entry in entries.where(entries.of(material.reads)).entries():
+                        material.take(entry)
+            progress.step(1 if isinstance(entries, Entry) else len(entries))
     except DamagedRecording as error:
         view.end(str(error))
         return str(error)
@@ -274,22 +283,42 @@ def _draw_entries(file: SessionFile, config: Config, view: SessionView, material
     return ""
 
 
-def _entries(file: SessionFile, config: Config) -> Iterator[Entry]:
-    """The entries to draw.
+def _entries(file: SessionFile, config: Config) -> Iterator[Entry | EntryColumns]:
+    """The entries to draw, many at once where they are drawn as they are in the file.
 
     If OpenIGTLink messages were not converted (the recording of a relay, an imported one), this version converts them.
     """
     # what was latched before a part is there from its first moment on
     for entry in latched_before(file, config):
         yield replace(entry, stamp_ns=file.start_ns)
-    kinds = {channel.kind for channel in file.channels if channel.count}
     stamps = RecordedStamps(file)
-    if Kind.IGTL_IN not in kinds or Kind.ROS_OUT in kinds:
+    if _is_converted(file):
+        if not stamps:
+            with suppress(Unfit):
+                yield from file.columns()
+                return
         yield from (stamps.entry(entry) for entry in file.entries())
         return
-    converted = through_gateway(file.entries(), replace(config, relay=False), has_links=Kind.LINK in kinds)
+    has_links = any(channel.count and channel.kind is Kind.LINK for channel in file.channels)
+    converted = through_gateway(file.entries(), replace(config, relay=False), has_links=has_links)
     for number, entry in enumerate(converted, 1):
         yield replace(entry, seq=number)
+
+
+def _is_converted(file: SessionFile) -> bool:
+    """Whether the recording has the ROS messages that OpenIGTLink messages became."""
+    kinds = {channel.kind for channel in file.channels if channel.count}
+    return Kind.IGTL_IN not in kinds or Kind.ROS_OUT in kinds
+
+
+def _material(file: SessionFile) -> Material | None:
+    """What a review is made of; None where there can be no review: it needs clouds."""
+    has_clouds = any(channel.count and channel.type == PointCloud2.TYPE for channel in file.channels)
+    may_have = has_clouds or not _is_converted(file) or file.prologue_file() is not None
+    if not may_have or not is_present("review"):
+        return None
+    material: Material = part_of("review", "material:Material")()
+    return material
 
 
 def _review(material: Material, view: SessionView) -> None:
@@ -311,9 +340,10 @@ class _Progress:
         self._done = 0
         self._shown = is_terminal(error=True)
 
-    def step(self) -> None:
-        self._done += 1
-        if self._shown and self._done % _PROGRESS_EVERY == 0:
+    def step(self, entries: int) -> None:
+        before = self._done // _PROGRESS_EVERY
+        self._done += entries
+        if self._shown and self._done // _PROGRESS_EVERY > before:
             live_line(f"drawing {min(self._done / max(self._total, 1), 1.0):4.0%}", error=True)
 
     def end(self) -> None:
