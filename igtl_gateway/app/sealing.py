@@ -144,7 +144,7 @@ def _time_problem(reports: Sequence[SealReport]) -> str:
 
 def _parts(folder: Path) -> list[Path]:
     """Return the parts of a split recording by their numbers.  Raises UnsupportedRecording without any."""
-    name = re.compile(r".*_(\d{1,9})\.mcap", re.DOTALL)
+    name = re.compile(r".*_([0-9]{1,9})\.mcap", re.DOTALL)
     numbered = [(int(found[1]), path) for path in folder.glob("*.mcap") if (found := name.fullmatch(path.name))]
     if not numbered:
         raise UnsupportedRecording(f"{folder}: found a directory without parts NAME_0.mcap, expected a split recording")

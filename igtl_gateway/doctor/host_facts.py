@@ -274,7 +274,7 @@ def _dma_latency(path: Path) -> int | None:
 
 
 def _high_resolution(path: Path) -> bool | None:
-    found = re.findall(r"\.hres_active\s*: (\d)", _text(path))
+    found = re.findall(r"\.hres_active\s*: ([0-9])", _text(path))
     return all(one == "1" for one in found) if found else None
 
 

@@ -15,7 +15,7 @@ from collections.abc import Iterable
 BACKLOG = 2048
 
 #: Only addresses of this machine itself: for others the list of allowed networks has to be known first.
-_LOOPBACK = re.compile(r"127\.\d{1,3}\.\d{1,3}\.\d{1,3}")
+_LOOPBACK = re.compile(r"127\.[0-9]{1,3}\.[0-9]{1,3}\.[0-9]{1,3}")
 
 
 class ReservedPorts:

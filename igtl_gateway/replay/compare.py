@@ -45,7 +45,7 @@ _SAME_ROTATION = 2 * math.sqrt(2)
 #: Arrays up to this length are compared number by number.
 _SHORT = 16
 _POINTS = frozenset({"geometry_msgs/msg/Point", "geometry_msgs/msg/Point32"})
-_BITS = re.compile(r"(8|16|32|64)([USF])C?\d*$")
+_BITS = re.compile(r"(8|16|32|64)([USF])C?[0-9]*$")
 _NOTES = frozenset({Kind.LINK, Kind.EDGE_NOTE, Kind.NOTE})
 _NOTHING = "nothing"
 

@@ -157,7 +157,7 @@ def reason(error: Exception, devices: dict[str, Path]) -> str:
         devices: names of files in it, and their paths.
     """
     text = " ".join(re.split(r"\n\n(?:LINE |Stack Trace)", str(error))[0].split())
-    return re.sub(r"/dev/fd/\d+", lambda found: str(devices.get(found[0], found[0])), text)
+    return re.sub(r"/dev/fd/[0-9]+", lambda found: str(devices.get(found[0], found[0])), text)
 
 
 def _device(number: int) -> str:

@@ -14,7 +14,7 @@ from igtl_gateway.addons.cohort.columns import SCHEMA_VERSION
 MANIFEST = "cohort.json"
 #: Folder of the parts.
 PARTS = "parts"
-_NAME = re.compile(r"\d{6,20}")
+_NAME = re.compile(r"[0-9]{6,20}")
 #: A run joins its parts at its end: these are of one that made 20,000, each with the files of some seconds.
 _MOST = 20_000
 

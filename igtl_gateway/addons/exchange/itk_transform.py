@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 
 TEXT = b"#Insight Transform File V"
 _HEAD = "#Insight Transform File V1.0"
-_NAME = re.compile(r"([A-Za-z0-9]+)_(?:double|float)_(\d{1,3})_(\d{1,3})")
+_NAME = re.compile(r"([A-Za-z0-9]+)_(?:double|float)_([0-9]{1,3})_([0-9]{1,3})")
 #: Header of a matrix of MATLAB level 4: number type, rows, columns, imaginary part, bytes of the name.
 _MAT = struct.Struct("<5i")
 _MAT_TYPES = {0: "<f8", 10: "<f4", 1000: ">f8", 1010: ">f4"}

@@ -50,7 +50,7 @@ _OTHERS = 3
 #: What a row of a link has for the time after it.
 _INNER = frozenset({"number", "passed", "is_regular", "streams", "newest"})
 #: An address of a peer in a sentence.
-_ADDRESS = re.compile(r"[\w.\-%\[\]:]{1,120}:\d{1,5}(?!\d)")
+_ADDRESS = re.compile(r"[\w.\-%\[\]:]{1,120}:[0-9]{1,5}(?![0-9])")
 _GONE = ", which has left"
 _STAMPS = {"stamp_backwards": "decrease", "stamp_still": "unchanged", "stamp_future": "in the future"}
 

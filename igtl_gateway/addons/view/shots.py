@@ -37,7 +37,7 @@ _NEEDS_DRIVER = (
 _NO_DRIVER = re.compile(r"No graphics adapter|Failed to get render context|Failed to create render context")
 #: A headless viewer has one font and exits at a character that is not in it (policy of egui_kittest).
 _NO_LETTER = re.compile(r"No glyph for (\S+ \(U\+[0-9A-F]+\))")
-_LISTENS = re.compile(r"Listening for gRPC connections on 127\.0\.0\.1:(\d+)")
+_LISTENS = re.compile(r"Listening for gRPC connections on 127\.0\.0\.1:([0-9]+)")
 
 #: A screenshot shows the views and the time, no other panels.
 _PANELS = {"top_panel": "Hidden", "blueprint_panel": "Hidden", "selection_panel": "Hidden"}

@@ -15,8 +15,8 @@ from igtl_gateway.addon.live import Handler, LocalServer
 from igtl_gateway.addons.view.process import ViewerProcess
 
 HOST = "127.0.0.1"
-_LISTENS = re.compile(r"Listening for gRPC connections on 127\.0\.0\.1:(\d+)")
-_HOSTS = re.compile(r"Hosting a web-viewer at http://127\.0\.0\.1:(\d+)")
+_LISTENS = re.compile(r"Listening for gRPC connections on 127\.0\.0\.1:([0-9]+)")
+_HOSTS = re.compile(r"Hosting a web-viewer at http://127\.0\.0\.1:([0-9]+)")
 _LOG = "error,re_grpc_server=info,re_sdk::web_viewer=info"
 _START_S = 30.0
 _LIVE_MEMORY = "25%"  # of the machine: in a long session the window drops the oldest data

@@ -11,7 +11,7 @@ from igtl_gateway.addon import first_line as whole_first_line
 from igtl_gateway.addon.processes import expect_threads_of, missing
 
 #: Zenoh ends its errors with the place in its source.
-_PLACE = re.compile(r"!?\s+at \S+\.rs:\d+\.?")
+_PLACE = re.compile(r"!?\s+at \S+\.rs:[0-9]+\.?")
 
 
 def import_zenoh() -> Any:

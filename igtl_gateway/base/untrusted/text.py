@@ -76,7 +76,7 @@ def parse_toml(data: bytes, place: str) -> dict[str, Any]:
 #: A number with 1,000 digits or more: no setting has that, and Python prints at most 4,300 digits.
 _LONG_NUMBER = re.compile(rb"=\s*[+-]?(?:0x)?[0-9a-fA-F_]{1000}")
 #: Strings, comments and numbers of TOML.
-_FREE_DOTS = re.compile(r""""[^"]*"|'[^']*'|#.*|\d\.\d""")
+_FREE_DOTS = re.compile(r""""[^"]*"|'[^']*'|#.*|[0-9]\.[0-9]""")
 
 
 def check_nesting(text: str, place: str) -> None:

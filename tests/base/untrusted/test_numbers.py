@@ -147,3 +147,18 @@ def test_digits_in_regular_expressions_have_an_end() -> None:
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and endless.search(node.value)
     }
     assert found == _ENDLESS.keys(), "bound the digits that int() or float() converts: {1,18}"
+
+
+def test_digits_in_regular_expressions_are_those_of_ascii() -> None:
+    """``\\d`` also matches the digits of other scripts, which ``int`` converts: a name that no other program has."""
+    found = {
+        f"{path.relative_to(PACKAGE)}:{node.lineno}"
+        for path in PACKAGE.rglob("*.py")
+        if r"\d" in (text := path.read_text("utf-8"))
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Call) and ast.unparse(node.func).startswith("re.")
+        for one in ast.walk(node)
+        if isinstance(one, ast.Constant) and isinstance(one.value, str) and r"\d" in one.value
+        if "re.ASCII" not in ast.unparse(node)
+    }
+    assert found == set(), "use [0-9], or re.ASCII"

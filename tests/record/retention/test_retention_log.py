@@ -87,6 +87,14 @@ def test_the_time_of_the_last_pass(tmp_path: Path) -> None:
     assert not log.has_deleted("a.mcap")
 
 
+def test_the_time_of_a_link_is_its_own(tmp_path: Path) -> None:
+    """A link in place of the log must not make another clock of it."""
+    (tmp_path / "elsewhere").touch()
+    os.utime(tmp_path / "elsewhere", ns=(5, 5))
+    (tmp_path / LOG_NAME).symlink_to(tmp_path / "elsewhere")
+    assert RetentionLog(tmp_path).last_pass_ns() != 5
+
+
 def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
     log = RetentionLog(tmp_path / "gone")
     assert (log.last_pass_ns(), log.has_deleted("a.mcap")) == (0, False)
