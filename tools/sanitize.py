@@ -43,6 +43,7 @@ TESTS = {
     "_chunk": ("tests/record/sessionfile/test_chunk_rows.py",),
     "_columns": ("tests/record/sessionfile/test_columns.py", "tests/record/sessionfile/test_chunk_columns.py"),
     "_express": ("tests/convert/test_express.py", "tests/native/test_twins.py"),
+    "_figures": ("tests/record/sessionfile/test_figures.py",),
     "_passage": (
         *(f"tests/native/test_{name}.py" for name in ("foreign", "subscriptions", "turns", "types")),
         "tests/gateway/fastpath",

@@ -12,12 +12,17 @@ EXAMPLES = """\
   igtl-gateway info out.mcap
   # for programs
   igtl-gateway info out.mcap --json
+  # read all entries, also where the recorder has counted them
+  igtl-gateway info out.mcap --full
   # a split recording as a whole, and its parts
   igtl-gateway info out"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser, "recording, directory of a split recording, bag of rosbag2, or - for the standard input")
+    parser.add_argument(
+        "--full", action="store_true", help="read all entries; else the figures of the recorder, if the file has them"
+    )
     add_json(parser)
 
 

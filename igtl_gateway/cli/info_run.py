@@ -32,7 +32,7 @@ from igtl_gateway.record.sessionfile.index import recover_hint
 from igtl_gateway.record.sessionfile.reader import PartSummary, SessionFile
 from igtl_gateway.record.sessionfile.salvage import Salvage
 from igtl_gateway.record.sessionfile.seals import stated_seals
-from igtl_gateway.replay.content_columns import content_of
+from igtl_gateway.replay.content_figures import summary_of
 from igtl_gateway.replay.content_summary import ContentSummary, StreamSummary
 from igtl_gateway.replay.recorded_config import peer_units
 from igtl_gateway.replay.recorded_marks import marks_of
@@ -51,9 +51,11 @@ def _run(options: argparse.Namespace, recording: Recording) -> int:
     place = recording.place
     try:
         with SessionFile.open(place, incomplete=True) as file:
-            content = content_of(file, whole_number(file.session.get("slice_start_ns")) or 0)
+            begin_ns = whole_number(file.session.get("slice_start_ns")) or 0
+            content, why = summary_of(file, begin_ns, full=options.full)
             summary = _facts(place, file, content, file.start_ns, file.end_ns) | {"file": str(options.file)}
             summary["bytes"] = file.size
+            summary["figures"] = {"entries_read": why is not None, "why": why or ""}
             summary["damaged_indexes"] = file.damaged_indexes()
             summary["skipped"] = [asdict(skipped) for skipped in file.skipped]
             if file.parts:
@@ -257,6 +259,11 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
             print_line(f"  state     {messages} of before the slice: counted here, and in no rate and no gap")
     else:
         print_line("  no entries")
+    figures = summary.get("figures", {"entries_read": True, "why": ""})
+    if not figures["entries_read"]:
+        print_line("  figures   of the recorder; its entries are not read: --full reads them")
+    elif figures["why"]:
+        print_line(f"  figures   of all entries, not of the recorder: {figures['why']}")
     made = session.get("igtl_gateway_version")
     if made:
         print_line(f"  made by   igtl-gateway {made}" + (f" ({session['scenario']})" if "scenario" in session else ""))

@@ -63,6 +63,7 @@ class NewFiles:
             prologue=prologue,
             types=self.types,
             sealer=self._seals.next_file(path, alone=alone) if self._seals else None,
+            counted=True,
         )
         self._begun.append(str(path))
         self.all.add(path.absolute())

@@ -24,6 +24,7 @@ from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.retention.retention_log import RetentionLog
 from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.figures import SO_FAR, Figures
 from igtl_gateway.record.sessionfile.new_file import cannot_begin, make_folder
 from igtl_gateway.record.sessionfile.side_file import (
     SIDE_FILE,
@@ -100,6 +101,7 @@ class PartsWriter:
         self._is_held = self._was_held = False  # the end of this part, and that of the part before
         self._begin_bytes = self._prologue_bytes = 0  # of this part
         self._previous = ""  # name of the part before
+        self._so_far = Figures()  # of all parts
         self._rests = self._ended = waits  # ended: the part is one of the complete ones
         self._overwrite = overwrite
         self._old: list[Path] = []
@@ -287,6 +289,8 @@ class PartsWriter:
             facts[layout.PREVIOUS_KEY] = self._previous
         path, prologue = part_path(self.path, name), self._prologue.entries()
         part = self._open_part(path, facts, prologue)
+        if part.is_counted:
+            part.count(SO_FAR, self._so_far)
         self._begin_bytes, self._prologue_bytes = part.size, sum(entry.size for entry in prologue)
         self._previous = path.name
         return part

@@ -37,6 +37,7 @@ class StreamSummary:
     Attributes:
         restores: messages of before a slice, which restore the state: they are in ``messages``, not in the times.
         links: of OpenIGTLink: those that its messages came from or went to.
+        stated_age_ns: median of the ages, and the largest less the smallest, where a recorder has stated them.
     """
 
     kind: Kind
@@ -51,6 +52,7 @@ class StreamSummary:
     unstamped: int = 0
     ages_ns: list[int] = field(default_factory=list)  # of the first _MAX_AGES messages
     links: set[int] = field(default_factory=set)
+    stated_age_ns: tuple[int, int] | None = None
 
     def add(self, entry: Entry, ahead_ns: int, *, restores: bool = False) -> None:
         if restores:
@@ -111,10 +113,11 @@ class StreamSummary:
     @property
     def age_ms(self) -> tuple[float, float] | None:
         """Median of the ages of an input stream's messages when they arrive, and the largest less the smallest."""
-        if not self.ages_ns:
-            return None
-        ages = sorted(self.ages_ns)
-        return ages[len(ages) // 2] / _NS_PER_MS, (ages[-1] - ages[0]) / _NS_PER_MS
+        found = self.stated_age_ns
+        if self.ages_ns:
+            ages = sorted(self.ages_ns)
+            found = ages[len(ages) // 2], ages[-1] - ages[0]
+        return (found[0] / _NS_PER_MS, found[1] / _NS_PER_MS) if found else None
 
     @property
     def stamps(self) -> str:

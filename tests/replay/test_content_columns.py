@@ -54,7 +54,7 @@ def test_a_fixture(path: Path) -> None:
 
 
 #: What comes next: pause in ns, what it is, age of its stamp in ns (None: it has none), its links, its size.
-_ROWS = st.lists(
+ROWS = st.lists(
     st.tuples(
         st.sampled_from((1, 1_000_000, 37_000_000, 600_000_000, 11 * SECOND, 70 * SECOND)),
         st.sampled_from(("in", "in2", "out", "ros_in", "ros_out", "note", "forward", "back")),
@@ -89,9 +89,7 @@ def session(rows: list[Any]) -> list[Entry]:
     return entries
 
 
-@given(
-    rows=_ROWS, begin_s=st.sampled_from((0, 1_700_000_001, 1_700_000_050)), chunk_bytes=st.sampled_from((300, 9_000))
-)
+@given(rows=ROWS, begin_s=st.sampled_from((0, 1_700_000_001, 1_700_000_050)), chunk_bytes=st.sampled_from((300, 9_000)))
 def test_a_random_session(
     tmp_path_factory: pytest.TempPathFactory, rows: list[Any], begin_s: int, chunk_bytes: int
 ) -> None:

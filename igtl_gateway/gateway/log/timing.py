@@ -8,7 +8,7 @@ Pure: stamps and arrivals are arguments, in UTC nanoseconds.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
@@ -156,6 +156,29 @@ class StampTiming:
                 self._first = self._first or self._last
                 self._block_least_ns, self._block_end_ns = int(ages[end]), int(arrivals[end]) + _BLOCK_NS
             begin = end
+
+    def state(self) -> list[Any]:
+        """What the estimate is made of, as JSON values, without what only the next message needs.
+
+        ``messages``, ``unset``, ``future``, ``backwards``, ``repeated``, ``least_ns``, ``most_ns``; the sum of what the
+        ages are above the least of their block; a bit for each step of ``_STEPS`` that all stamps lie on; end and least
+        age of the first and of the last whole block, or None.
+        """
+        counts = [self.messages, self.unset, self.future, self.backwards, self.repeated, self.least_ns, self.most_ns]
+        steps = sum(1 << bit for bit, step in enumerate(_STEPS) if step in self._steps)
+        return [*counts, self._excess_ns, steps, *(each and list(each) for each in (self._first, self._last))]
+
+    @classmethod
+    def of_state(cls, state: Sequence[Any]) -> StampTiming:
+        """An estimate with the figures of a :meth:`state`, for which no other message can be looked at."""
+        made = cls()
+        (
+            made.messages, made.unset, made.future, made.backwards, made.repeated, made.least_ns, made.most_ns,
+            made._excess_ns, steps, first, last,
+        ) = state  # fmt: skip
+        made._steps = tuple(step for bit, step in enumerate(_STEPS) if steps >> bit & 1)
+        made._first, made._last = first and (first[0], first[1]), last and (last[0], last[1])
+        return made
 
     def reset(self) -> None:
         """Our own clock was set: what is known of the other one is known no more; counts stay."""

@@ -39,6 +39,8 @@ SESSION_METADATA = "igtl_gateway.session"
 SESSION_COPY_METADATA = "igtl_gateway.session_copy"
 SESSION_RECORDS = (SESSION_METADATA, SESSION_COPY_METADATA)
 LEDGER_METADATA = "igtl_gateway.ledger"
+#: What the recorder counted of the entries of the file, see ``figures``.
+FIGURES_METADATA = "igtl_gateway.figures"
 #: A seal: a signed statement about the records before it, see ``sealing``.
 SEAL_METADATA = "igtl_gateway.seal"
 #: Attachment behind the last seal: the reply of a time-stamp authority.

@@ -347,6 +347,18 @@ class SessionFile:
                 content = read_record(self._stream, self._index, records.METADATA, place, f"{self.path}: {what}")
                 yield records.parse_metadata(content)
 
+    def figures(self) -> dict[str, str] | None:
+        """The items of the figures that its recorder wrote, which are to be compared with the file; None without any.
+
+        Raises DamagedRecording, LimitExceeded.
+        """
+        return self._metadata(layout.FIGURES_METADATA)
+
+    @property
+    def most_bytes(self) -> int:
+        """More bytes than all messages have together."""
+        return sum(chunk.size for chunk in self._index.chunks)
+
     def damaged_indexes(self) -> int:
         """Chunks around which something is damaged: no entry is lost, but other programs may miss messages."""
         return damaged_indexes(self._stream, self._index)
@@ -580,7 +592,7 @@ class SessionParts(SessionFile):
         channels: list[ChannelSummary] = []
         skipped: list[SkippedChannel] = []
         self.definitions, self._definitions = {}, FileDefinitions()
-        self.entry_count = self.start_ns = self.end_ns = 0
+        self.entry_count = self.start_ns = self.end_ns = self._most_bytes = 0
         shared: dict[str, str] = {}  # session metadata of all parts
         own = (layout.PART_KEY, layout.PREVIOUS_KEY)
         for path in sorted(part_files(folder), key=Path.is_symlink):
@@ -616,6 +628,7 @@ class SessionParts(SessionFile):
                 self.definitions |= part.definitions
                 self._definitions.known |= part._definitions.known
                 self.entry_count += part.entry_count
+                self._most_bytes += part.most_bytes
         if not found:
             raise UnsupportedRecording(f"{folder}: found a directory, expected the .mcap file in it")
         with SessionFile.open(found[min(found)].path) as first:  # without one before it if the recording waited
@@ -717,6 +730,16 @@ class SessionParts(SessionFile):
         for each in self.parts:
             with SessionFile.open(each.path) as part:
                 yield from part.messages(wanted)
+
+    def figures(self) -> dict[str, str] | None:
+        """Those of the last part."""
+        with SessionFile.open(self.parts[-1].path) as part:
+            return part.figures()
+
+    @property
+    def most_bytes(self) -> int:
+        """As SessionFile.most_bytes."""
+        return self._most_bytes
 
     def damaged_indexes(self) -> int:
         """As SessionFile.damaged_indexes, of all parts."""

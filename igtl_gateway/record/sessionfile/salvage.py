@@ -53,6 +53,8 @@ from igtl_gateway.record.sessionfile.salvage_report import (
 _Value = TypeVar("_Value")
 #: Key of what a ledger states of a recovery: the file had session metadata.
 HAS_SESSION = "has_session"
+#: Metadata records that are of the file that they are in.
+_OF_THE_FILE = frozenset({layout.SEAL_METADATA, layout.FIGURES_METADATA})
 #: Characters of the text of a loss that quotes the file.
 _MAX_TEXT = 300
 
@@ -185,7 +187,7 @@ class Salvage:
                 yield attachment
 
     def metadata(self) -> Iterator[Metadata]:
-        """The metadata records that are not of the session, without seals."""
+        """The metadata records that are not of the session, without seals and figures."""
         for span in self._metadata:
             if metadata := _parsed(records.parse_metadata, self._file.content(span)):
                 yield metadata
@@ -298,7 +300,7 @@ class Salvage:
                     sessions += [items] if (items := _right(_session_items, metadata)) else []
                 elif metadata.name == layout.LEDGER_METADATA:
                     ledger = ledger or _right(_check_ledger, metadata)
-                elif metadata.name != layout.SEAL_METADATA:  # a seal is of the file that it is in
+                elif metadata.name not in _OF_THE_FILE:
                     self._metadata.append(span)
                     limits.check_limit("count", len(self._metadata), f"{self.path}: metadata records")
         return self._best_session(sessions), ledger, found

@@ -12,7 +12,7 @@ large message, because an input and its outputs have much in common.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import IO
 
@@ -74,6 +74,8 @@ class McapStream:
         compression: Compression,
         sealer: Sealer | None = None,
     ) -> None:
+        #: Called with each chunk that is not copied, and the end of its last message.
+        self.watchers: list[Callable[[bytearray, Buffer], None]] = []
         #: Bytes written so far.
         self.size = 0
         self._file = file
@@ -253,6 +255,8 @@ class McapStream:
         first, last, index, rows = index_messages(self._chunk)
         if not rows:
             return
+        for watcher in self.watchers:
+            watcher(self._chunk, rest)
         size = len(self._chunk) + len(rest)
         numbers = entry_numbers(self._chunk, index, rows) if self._sealer else (-1, -1)
         crc = crc32(self._chunk)

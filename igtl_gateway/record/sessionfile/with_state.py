@@ -111,6 +111,9 @@ class SessionWithState(SessionFile):
         """As SessionFile.beside."""
         return self.itself.beside()
 
+    def figures(self) -> None:
+        """None: nothing was counted of both together."""
+
     def damaged_indexes(self) -> int:
         """As SessionFile.damaged_indexes."""
         return self.itself.damaged_indexes()

@@ -24,10 +24,11 @@ from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.systems.files import sync_folder
 from igtl_gateway.base.version import __version__
 from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile import figures, layout
 from igtl_gateway.record.sessionfile.chunk_rows import MessageRows, RowStream
 from igtl_gateway.record.sessionfile.compression import Compression
 from igtl_gateway.record.sessionfile.definition import Definition
+from igtl_gateway.record.sessionfile.figures import Figures
 from igtl_gateway.record.sessionfile.layout import CHUNK_BYTES, LayoutError
 from igtl_gateway.record.sessionfile.messages import RawPacker, device_name, pack_message
 from igtl_gateway.record.sessionfile.new_file import cannot_begin, create_file, os_error_text
@@ -72,6 +73,7 @@ class SessionWriter:
         types: definitions of ROS types; a caller that writes several files shares one.
         memory: write into this instead of a file.
         sealer: seals the file at each flush and at its end.
+        counted: write the figures of the entries at the end of the file.
 
     Raises RecordingError when the file cannot be created, DiskRefused where the disk is the reason.  From the
     constructor on the file can be read by scanning, and after :meth:`close` by its index.
@@ -92,6 +94,7 @@ class SessionWriter:
         types: RosTypes | None = None,
         memory: BytesIO | None = None,
         sealer: Sealer | None = None,
+        counted: bool = False,
     ) -> None:
         self.path = path
         #: Entries written so far, and those that a failure leaves: as of the last flush, none of a file taken away.
@@ -110,6 +113,7 @@ class SessionWriter:
         # channel and packer by kind, channel, type and links of the entries
         self._known: dict[tuple[Kind, str, str, tuple[int, ...]], tuple[int, RawPacker | None]] = {}
         self._schemas: dict[str, int] = {}
+        self._figures: dict[str, Figures] = {}
         self._closed = False
         self._failure = ""
         self._fsync = fsync
@@ -119,6 +123,8 @@ class SessionWriter:
             self._mcap = McapStream(self._file, chunk_bytes=chunk_bytes, compression=compression, sealer=sealer)
             try:
                 self._start(session, before)
+                if counted:
+                    self.count(figures.FILE, Figures())
                 if fsync != "never":
                     sync_folder(place.parent)
             except OSError as error:
@@ -146,6 +152,17 @@ class SessionWriter:
             else:
                 times = found.log_time, found.create_time
                 self._mcap.add_attachment(found.name, found.media_type, found.data, *times)
+
+    def count(self, item: str, counts: Figures) -> None:
+        """Count the entries of the file, and state it in an item of its figures.  To be called before the first one."""
+        counts.begin_file()
+        self._figures[item] = counts
+        self._mcap.watchers.append(counts.add_chunk)
+
+    @property
+    def is_counted(self) -> bool:
+        """Whether the file gets figures."""
+        return bool(self._figures)
 
     def write(self, entry: Entry) -> None:
         """Add an entry; the next :meth:`flush` hands it to the operating system.
@@ -255,6 +272,8 @@ class SessionWriter:
             return
         with self._disk_errors():
             self._mcap.flush()
+            if stated := figures.record_of(self._figures):
+                self._mcap.add_metadata(layout.FIGURES_METADATA, stated)
             self._mcap.add_metadata(layout.LEDGER_METADATA, layout.seal_ledger(ledger))
             self._mcap.finish(last_part=last_part)
             self._file.flush()
@@ -299,6 +318,11 @@ class SessionWriter:
                     return self._channels[stream]
             channel = self._register(topic, layout.RAW_MESSAGE_TYPE, entry.kind, facts)
         self._channels[stream] = channel
+        for counts in self._figures.values():
+            if stream[1] in layout.SHARED_TOPICS:
+                counts.give_up()
+            else:
+                counts.add_channel(channel, *stream)
         return channel
 
     def _register(self, topic: str, ros_type: str, kind: Kind, facts: dict[str, str]) -> int:

@@ -90,7 +90,7 @@ def _written(path: Path, config: Config, entries: Iterable[Entry]) -> int:
         "igtl_gateway_version": __version__,
         "synthetic": SYNTHETIC,
     }
-    writer = SessionWriter(path, facts, types=RosTypes(SHARES))
+    writer = SessionWriter(path, facts, types=RosTypes(SHARES), counted=True)
     for entry in entries:
         writer.write(entry)
     writer.close({})

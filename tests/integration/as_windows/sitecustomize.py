@@ -54,7 +54,7 @@ for name in ("numpy", "zenoh", "zenoh.ext"):  # they ask which system this is wh
         importlib.import_module(name)
 
 MODULES = "fcntl grp posix pty pwd resource syslog termios tty _posixshmem rclpy"
-NATIVE = ("native._express", "native._passage", "native._queue", "native._chunk", "native._columns")
+NATIVE = ("native._express", "native._passage", "native._queue", "native._chunk", "native._columns", "native._figures")
 
 ABSENT: dict[types.ModuleType, str] = {
     os: "O_ASYNC O_CLOEXEC O_DIRECTORY O_DSYNC O_NOATIME O_NOCTTY O_NOFOLLOW O_NONBLOCK O_PATH O_SYNC O_TMPFILE "
