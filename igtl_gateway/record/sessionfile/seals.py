@@ -48,7 +48,7 @@ class Seals:
 
     Attributes:
         valid: those with a signature of their own key, in the order of the file.
-        invalid: number of records with the name of a seal that are invalid.
+        invalid: number of other places with the name of a seal: invalid records, and each row of the index.
     """
 
     valid: list[FoundSeal]

@@ -29,6 +29,7 @@ def listed(folder: Path, **facts: Any) -> Path:
         ({"parts": ["000001", "000002"], "joined": True}, Parts(["000001", "000002"], False)),  # several are not joined
         ({"parts": [], "joined": True}, Parts([], False)),
         ({"more": [1]}, Parts([], False)),
+        ({"parts": ["000001"] * 20_000}, Parts(["000001"] * 20_000, False)),
     ],
 )
 def test_which_parts_count(facts: dict[str, Any], parts: Parts, tmp_path: Path) -> None:

@@ -34,10 +34,11 @@ def test_each_pose_is_a_frame_with_its_time() -> None:
 
 def test_before_a_first_pose_that_is_later_there_is_an_invalid_one() -> None:
     """A reader would show the first pose from 0 on."""
-    found = poses([7])
-    assert found["DimSize"] == "0 0 2"
-    assert (found["Seq_Frame0000_Timestamp"], found["Seq_Frame0000_ProbeTransformStatus"]) == ("0.000", "INVALID")
-    assert (found["Seq_Frame0001_Timestamp"], found["Seq_Frame0001_ProbeTransformStatus"]) == ("0.007", "OK")
+    for ms in (1, 7):
+        found = poses([ms])
+        assert found["DimSize"] == "0 0 2"
+        assert (found["Seq_Frame0000_Timestamp"], found["Seq_Frame0000_ProbeTransformStatus"]) == ("0.000", "INVALID")
+        assert (found["Seq_Frame0001_Timestamp"], found["Seq_Frame0001_ProbeTransformStatus"]) == (f"0.00{ms}", "OK")
 
 
 def test_a_sequence_without_poses() -> None:
