@@ -55,6 +55,9 @@ if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile.ranges import named as named
     from igtl_gateway.record.sessionfile.reader import SessionFile as SessionFile
     from igtl_gateway.record.sessionfile.seals import stated_seals as stated_seals
+    from igtl_gateway.record.sessionfile.stream_rows import StreamName as StreamName
+    from igtl_gateway.record.sessionfile.stream_rows import StreamNumbers as StreamNumbers
+    from igtl_gateway.record.sessionfile.stream_rows import StreamRows as StreamRows
     from igtl_gateway.replay.recorded_config import config_to_run as config_to_run
     from igtl_gateway.replay.recorded_config import recorded_acceptance as recorded_acceptance
     from igtl_gateway.replay.recorded_config import recorded_units as recorded_units
@@ -83,6 +86,7 @@ HOMES: Homes = (
     ("record.sessionfile", "layout"),
     ("record.sessionfile.bulk", "MessageBlock block_of check_time gathered"),
     ("record.sessionfile.columns", "EntryColumns EntryStream=Stream Unfit"),
+    ("record.sessionfile.stream_rows", "StreamName StreamNumbers StreamRows"),
     ("record.sessionfile.ranges", "RangeFile named"),
     ("gateway.log.entry", "Entry Kind"),
     ("gateway.log.note", "Level Note"),

@@ -10,10 +10,13 @@ if TYPE_CHECKING:
     from igtl_gateway.base.systems.files import lock as lock_handle
     from igtl_gateway.record.sessionfile import merged as merged
     from igtl_gateway.record.sessionfile.channels import SEQUENCES as SEQUENCES
-    from igtl_gateway.record.sessionfile.chunk_columns import Row as Row
+    from igtl_gateway.record.sessionfile.chunk_columns import channels_of as channels_of
+    from igtl_gateway.record.sessionfile.chunk_rows import MessageRows as MessageRows
+    from igtl_gateway.record.sessionfile.chunk_rows import RowStream as RowStream
     from igtl_gateway.record.sessionfile.definition import Definition as Definition
     from igtl_gateway.record.sessionfile.definition import FileDefinitions as FileDefinitions
     from igtl_gateway.record.sessionfile.definition import another_definition as another_definition
+    from igtl_gateway.record.sessionfile.merged import Definitions as Definitions
     from igtl_gateway.record.sessionfile.merged import Method as Method
     from igtl_gateway.record.sessionfile.new_file import create_file as create_file
     from igtl_gateway.record.sessionfile.new_file import empty_file as empty_file
@@ -50,9 +53,10 @@ HOMES: Homes = (
     ("record.sessionfile.schemas", "RosTypes"),
     # A session of several recorders
     ("record.sessionfile", "merged"),
-    ("record.sessionfile.merged", "Method"),
+    ("record.sessionfile.merged", "Definitions Method"),
     ("record.sessionfile.channels", "SEQUENCES"),
-    ("record.sessionfile.chunk_columns", "Row"),
+    ("record.sessionfile.chunk_columns", "channels_of"),
+    ("record.sessionfile.chunk_rows", "MessageRows RowStream"),
     ("record.sessionfile.stream", "McapStream"),
 )
 

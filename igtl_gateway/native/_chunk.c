@@ -183,7 +183,7 @@ static PyObject *add_rows(PyObject *module, PyObject *const *args, Py_ssize_t co
 /* Places of the arguments of add_columns. */
 enum { CHUNK, DATA, WHICH, IDENTS, NUMBERS, TIMES, PUBLISH, SOURCES, BEGINS, ENDS, FROM, STREAMS, FULL, LARGE, ARGUMENTS };
 
-static const Py_ssize_t COLUMN_BYTES[ARGUMENTS] = {[WHICH] = 1,   [IDENTS] = 4,  [NUMBERS] = 8, [TIMES] = 8,
+static const Py_ssize_t COLUMN_BYTES[ARGUMENTS] = {[WHICH] = 2,   [IDENTS] = 4,  [NUMBERS] = 8, [TIMES] = 8,
                                                    [PUBLISH] = 8, [SOURCES] = 8, [BEGINS] = 8,  [ENDS] = 8};
 
 /* Hold the columns, which have one element per message; return how many are held. */
@@ -193,7 +193,7 @@ static int hold_columns(PyObject *const *args, Py_buffer *columns)
     for (; column <= ENDS; column++) {
         if (PyObject_GetBuffer(args[column], &columns[column], PyBUF_SIMPLE) < 0)
             break;
-        if (columns[column].len != columns[WHICH].len * COLUMN_BYTES[column]) {
+        if (columns[column].len != columns[WHICH].len / COLUMN_BYTES[WHICH] * COLUMN_BYTES[column]) {
             PyErr_SetString(PyExc_ValueError, "add_columns: found columns of other lengths");
             column++;
             break;
@@ -222,9 +222,9 @@ static PyObject *add_columns(PyObject *module, PyObject *const *args, Py_ssize_t
         return NULL;
     Py_buffer columns[ARGUMENTS];
     const int held = hold_columns(args, columns);
-    const Py_ssize_t rows = PyErr_Occurred() ? 0 : columns[WHICH].len;
+    const Py_ssize_t rows = PyErr_Occurred() ? 0 : columns[WHICH].len / COLUMN_BYTES[WHICH];
     while (row >= 0 && row < rows && filled <= chunk_bytes) {
-        const uint8_t which = ((const uint8_t *)columns[WHICH].buf)[row];
+        const uint16_t which = ((const uint16_t *)columns[WHICH].buf)[row];
         const int32_t ident = ((const int32_t *)columns[IDENTS].buf)[row];
         const int64_t begin = ((const int64_t *)columns[BEGINS].buf)[row], end = ((const int64_t *)columns[ENDS].buf)[row];
         struct stream stream;

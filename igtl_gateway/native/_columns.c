@@ -1,6 +1,6 @@
 /* The compiled part of igtl_gateway/record/sessionfile/chunk_columns.py, which documents the functions.
  *
- * All of them also exist in Python, with an equal result.  They release the interpreter, rows_of apart.
+ * All of them also exist in Python, with an equal result.  They release the interpreter, rows_of and interleaved apart.
  */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
@@ -338,6 +338,47 @@ static PyObject *equal_ranges(PyObject *module, PyObject *const *args, Py_ssize_
     return right ? Py_NewRef(Py_None) : NULL;
 }
 
+/* -- messages with heads ------------------------------------------------------------------------------------------ */
+
+/* Put heads of ``head_size`` bytes, each before its payload. */
+static void put_interleaved(uint8_t *at, const Py_buffer *data, const uint8_t *heads, Py_ssize_t head_size,
+                            const int64_t *begins, const int64_t *ends, Py_ssize_t rows)
+{
+    for (Py_ssize_t row = 0; row < rows; row++) {
+        memcpy(at, heads + row * head_size, (size_t)head_size);
+        memcpy(at + head_size, (const uint8_t *)data->buf + begins[row], (size_t)(ends[row] - begins[row]));
+        at += head_size + (Py_ssize_t)(ends[row] - begins[row]);
+    }
+}
+
+/* (data, heads, begins, ends) -> bytes */
+static PyObject *interleaved(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    struct buffers held = {.count = 0};
+    PyObject *result = NULL;
+    const int64_t *ends;
+    if (!check_count("interleaved", count, 4))
+        return NULL;
+    const Py_buffer *data = hold(&held, args[0], PyBUF_SIMPLE);
+    const Py_buffer *heads = data ? hold(&held, args[1], PyBUF_SIMPLE) : NULL;
+    const Py_buffer *begins = heads ? hold(&held, args[2], PyBUF_SIMPLE) : NULL;
+    const Py_ssize_t rows = begins ? begins->len / 8 : 0, head_size = rows ? heads->len / rows : 0;
+    if (!begins || !(ends = column(&held, args[3], PyBUF_SIMPLE, rows, 8)))
+        goto done;
+    const int64_t *from = begins->buf;
+    Py_ssize_t size = heads->len, row = 0;
+    for (; row < rows && 0 <= from[row] && from[row] <= ends[row] && ends[row] <= data->len; row++)
+        size += (Py_ssize_t)(ends[row] - from[row]);
+    if (row < rows || head_size * rows != heads->len)
+        PyErr_SetString(PyExc_ValueError, "interleaved: found a message outside of the data, or heads of other sizes");
+    else if ((result = PyBytes_FromStringAndSize(NULL, size)))
+        put_interleaved((uint8_t *)PyBytes_AS_STRING(result), data, heads->buf, head_size, from, ends, rows);
+done:
+    release(&held);
+    return result;
+}
+
 /* -- module ------------------------------------------------------------------------------------------------------- */
 
 static PyMethodDef functions[] = {
@@ -345,6 +386,7 @@ static PyMethodDef functions[] = {
     {"take", (PyCFunction)(void (*)(void))take, METH_FASTCALL, "See chunk_columns.py."},
     {"equal_ranges", (PyCFunction)(void (*)(void))equal_ranges, METH_FASTCALL, "See chunk_columns.py."},
     {"rows_of", rows_of, METH_O, "See chunk_columns.py."},
+    {"interleaved", (PyCFunction)(void (*)(void))interleaved, METH_FASTCALL, "See chunk_columns.py."},
     {"unwrap", (PyCFunction)(void (*)(void))unwrap, METH_FASTCALL, "See chunk_columns.py."},
     {NULL, NULL, 0, NULL},
 };

@@ -17,6 +17,8 @@ from igtl_gateway.addons.merge.offsets import ClockOffset
 
 Array = npt.NDArray[Any]
 
+#: The same numbers with a sign, and room to add others.
+_SIGNED_NS = 1 << 62
 #: A bound costs more than any way by intervals.
 _UNBOUNDED_NS = 1e15
 
@@ -45,6 +47,13 @@ class Clock:
         for offset in self.chain:
             times_ns = times_ns - offset.of(times_ns)
         return times_ns
+
+    def exactly_to_reference(self, times_ns: Array) -> Array:
+        """Times (N,) uint64 of this clock as :meth:`to_reference`, to the nanosecond; int64, or Python numbers."""
+        low_ns, high_ns = int(times_ns.min()), int(times_ns.max())
+        if high_ns < _SIGNED_NS and all(offset.is_exact(low_ns, high_ns) for offset in self.chain):
+            return self.all_to_reference(times_ns.astype(np.int64))
+        return np.array([self.to_reference(time_ns) for time_ns in times_ns.tolist()], object)
 
     @property
     def interval_ns(self) -> tuple[float, float]:

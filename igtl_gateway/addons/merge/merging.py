@@ -6,23 +6,31 @@ import hashlib
 import math
 from array import array
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import chain, combinations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from igtl_gateway.addon import NS_PER_S, ConfigError, DamagedRecording, GatewayError, UnsupportedRecording
 from igtl_gateway.addon.igtl import HEADER_SIZE
 from igtl_gateway.addon.messages import topic_token
 from igtl_gateway.addon.reading import (
     Entry,
+    EntryColumns,
     Kind,
     Level,
     Mark,
     Note,
     SessionFile,
+    StreamName,
+    StreamNumbers,
+    StreamRows,
+    Unfit,
     added_marks,
     carry_marks,
     notes_before,
@@ -35,11 +43,15 @@ from igtl_gateway.addons.merge.crossings import Crossing, Passed, find_crossings
 from igtl_gateway.addons.merge.offsets import ClockOffset, Contradiction, Piece, measure_offset
 from igtl_gateway.addons.merge.writer import MergedPart, write_merged
 
+Array = npt.NDArray[Any]
+
 _OUTPUTS = {Kind.IGTL_OUT: b"igtl", Kind.ROS_OUT: b"ros"}
 _INPUTS = {Kind.IGTL_IN: b"igtl", Kind.ROS_IN: b"ros"}
 #: Smaller ROS messages, and OpenIGTLink messages without a body, are equal by coincidence.
 _LEAST_ROS_BYTES = 24
 _READ_BYTES = 1 << 20
+_ROS = (Kind.ROS_IN, Kind.ROS_OUT)
+_U64 = (1 << 64) - 1
 #: Code of the note about a stream of several peers, with the topics that were made of it.
 _NAME_SHARED = "name_shared"
 #: Warnings of a part that the merged session states: a peer may cause any number of them.
@@ -143,6 +155,7 @@ def merge(
                 each.name,
                 each.file,
                 clocks[each.name].to_reference,
+                clocks[each.name].exactly_to_reference,
                 {**each.facts, "messages": each.file.entry_count, "clock": clocks[each.name].facts(each.middle_ns)},
             )
             for each in recorders
@@ -168,7 +181,7 @@ def _warned(recorder: _Recorder) -> tuple[list[str], dict[str, str]]:
     counts: Counter[tuple[str, str]] = Counter()
     texts: dict[tuple[str, str], str] = {}
     shared: dict[str, str] = {}
-    for entry in chain(notes_before(recorder.file), recorder.file.entries_of_kinds({Kind.NOTE})):
+    for entry in chain(notes_before(recorder.file), _notes(recorder.file)):
         note = Note.of(entry.data()) if entry.kind is Kind.NOTE else None
         if note is None or note.level < Level.WARN:
             continue
@@ -186,6 +199,15 @@ def _warned(recorder: _Recorder) -> tuple[list[str], dict[str, str]]:
     if len(counts) > _MOST_WARNINGS:
         lines.append(f"{recorder.name}: {len(counts) - _MOST_WARNINGS:,} more, as `info` of the part states them")
     return lines, shared
+
+
+def _notes(file: SessionFile) -> Iterator[Entry]:
+    """The notes of the gateway."""
+    try:
+        found = file.columns(wanted=lambda stream: stream.kind is Kind.NOTE)
+    except Unfit:
+        return file.entries_of_kinds({Kind.NOTE})
+    return chain.from_iterable(columns.entries() for columns in found)
 
 
 def _moved(mark: Mark, clock: Clock) -> Mark:
@@ -286,7 +308,7 @@ def _known(recorders: Sequence[_Recorder], given: Mapping[str, ClockOffset]) -> 
 
 def _links(recorders: Sequence[_Recorder]) -> dict[tuple[str, str], _Link]:
     """What crosses between each two recorders."""
-    passed = {each.name: (_passed(each, _OUTPUTS), _passed(each, _INPUTS)) for each in recorders}
+    passed = {each.name: _passed_in_columns(each) or _passed_by_entries(each) for each in recorders}
     links = {}
     for one, two in combinations(passed, 2):
         (sent_one, received_one), (sent_two, received_two) = passed[one], passed[two]
@@ -297,13 +319,81 @@ def _links(recorders: Sequence[_Recorder]) -> dict[tuple[str, str], _Link]:
     return links
 
 
+def _passed_in_columns(recorder: _Recorder) -> tuple[Passed, Passed] | None:
+    """The outputs and the inputs; None where only entries can be read, or have a time that is not compared."""
+    names: list[StreamName] = []
+    seeds: list[int] = []
+
+    def number(kind: Kind, channel: str, type_name: str, links: tuple[int, ...]) -> int:
+        group = (_OUTPUTS | _INPUTS).get(kind, b"")
+        about = type_name if kind in _ROS else ""
+        names.append((kind, channel, type_name, links))
+        seeds.append(hash((group, about)) & _U64)
+        return len(names) - 1
+
+    try:
+        found = recorder.file.columns()
+    except Unfit:
+        return None
+    numbered = StreamNumbers(number)
+    passed = [_Columns(kinds) for kinds in (_OUTPUTS, _INPUTS)]
+    for columns in found:
+        if columns.times.dtype != np.int64:
+            return None
+        rows = numbered.of(columns)
+        for each in passed:
+            each.add(columns, rows, names, np.array(seeds, np.uint64))
+    outputs, inputs = passed
+    return outputs.passed(), inputs.passed()
+
+
+class _Columns:
+    """The messages of some kinds, with a hash of each that is equal for equal messages."""
+
+    def __init__(self, kinds: Collection[Kind]) -> None:
+        self._kinds = kinds
+        self._keys: list[Array] = [np.zeros(0, np.uint64)]
+        self._times: list[Array] = [np.zeros(0, np.int64)]
+        self._streams: list[Array] = [np.zeros(0, np.int64)]
+        self._names: dict[str, int] = {}
+
+    def add(self, columns: EntryColumns, found: StreamRows, names: Sequence[StreamName], seeds: Array) -> None:
+        least = [
+            (_LEAST_ROS_BYTES if kind in _ROS else HEADER_SIZE + 1) if kind in self._kinds else _MAX_STAMP_NS - 1
+            for kind, *_ in names
+        ]
+        # the last element is that of notes
+        sizes = found.ends - found.begins
+        rows = np.flatnonzero(sizes >= np.array([*least, _MAX_STAMP_NS - 1], np.int64)[found.idents])
+        idents = found.idents[rows]
+        first = {ident: int(np.argmax(idents == ident)) for ident in np.flatnonzero(np.bincount(idents)).tolist()}
+        streams = np.zeros(len(names) + 1, np.int64)
+        for ident in sorted(first, key=first.__getitem__):
+            streams[ident] = self._names.setdefault(names[ident][1], len(self._names))
+        data = columns.data
+        places = zip(found.begins[rows].tolist(), found.ends[rows].tolist(), strict=True)
+        hashes = np.array([hash(data[begin:end]) for begin, end in places], np.int64)
+        self._keys.append(hashes.view(np.uint64) ^ seeds[idents] if len(rows) else hashes.view(np.uint64))
+        self._times.append(columns.times[rows].astype(np.int64))
+        self._streams.append(streams[idents])
+
+    def passed(self) -> Passed:
+        keys, times, streams = map(np.concatenate, (self._keys, self._times, self._streams))
+        return Passed(keys, times, streams, tuple(self._names))
+
+
+def _passed_by_entries(recorder: _Recorder) -> tuple[Passed, Passed]:
+    """The outputs and the inputs."""
+    return _passed(recorder, _OUTPUTS), _passed(recorder, _INPUTS)
+
+
 def _passed(recorder: _Recorder, kinds: Mapping[Kind, bytes]) -> Passed:
     keys, times, streams = array("Q"), array("q"), array("q")
     names: dict[str, int] = {}
     for entry in recorder.file.entries_of_kinds(kinds):
         if entry.kind in kinds and _is_distinct(entry):
             digest = hashlib.blake2b(kinds[entry.kind], digest_size=8)
-            if entry.kind in (Kind.ROS_IN, Kind.ROS_OUT):
+            if entry.kind in _ROS:
                 digest.update(entry.type.encode())
             for part in entry.payload:
                 digest.update(part)
@@ -317,7 +407,7 @@ def _passed(recorder: _Recorder, kinds: Mapping[Kind, bytes]) -> Passed:
 
 
 def _is_distinct(entry: Entry) -> bool:
-    if entry.kind in (Kind.ROS_IN, Kind.ROS_OUT):
+    if entry.kind in _ROS:
         return entry.size >= _LEAST_ROS_BYTES
     return entry.size > HEADER_SIZE
 

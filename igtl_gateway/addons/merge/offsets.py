@@ -29,6 +29,9 @@ Array = npt.NDArray[Any]
 MOST_SKEW = 200_000.0
 #: More pieces than this are no clock: some messages that look alike are not the same message.
 MOST_PIECES = 64
+#: Offsets below (13 days), and times that far from the start of a line (52 days), are exact as floating-point numbers.
+_SMALL_NS, _EXACT_NS = 1 << 50, 1 << 52
+_SIGNED_NS = 1 << 62
 #: Stamps are whole nanoseconds.
 _ROUNDING_NS = 1.0
 
@@ -82,6 +85,22 @@ class ClockOffset:
                 break
             found = piece
         return found.at(time_ns)
+
+    def is_exact(self, low_ns: int, high_ns: int) -> bool:
+        """Whether :meth:`of` is :meth:`at` for all times between these two: no difference of them is rounded."""
+        starts = [piece.start_ns for piece in self.pieces[1:]]
+        return starts == sorted(starts) and all(
+            abs(piece.start_ns) < _SIGNED_NS
+            and abs(piece.offset_ns) < _SMALL_NS
+            and (
+                not piece.slope
+                or (
+                    abs(piece.slope) < NS_PER_S
+                    and piece.start_ns - _EXACT_NS < low_ns <= high_ns < piece.start_ns + _EXACT_NS
+                )
+            )
+            for piece in self.pieces
+        )
 
     def of(self, times_ns: Array) -> Array:
         """The offsets at times (N,) int64 of the clock itself, ns."""

@@ -58,6 +58,12 @@ class Columns(NamedTuple):
         return Columns(*(column[rows] for column in self))
 
 
+def channels_of(columns: Columns) -> list[int]:
+    """The channels that messages have, rising."""
+    found: list[int] = np.flatnonzero(np.bincount(columns.channels)).tolist()
+    return found
+
+
 def count_of(data: bytes) -> tuple[int, bool, int, int]:
     """Count the messages in the records of a chunk.
 
@@ -175,6 +181,24 @@ def _range(buffers: Sequence[bytes], which: int, begin: int, end: int) -> memory
     return memoryview(buffers[which])[begin:end]
 
 
+def interleaved(data: bytes, heads: bytes, begins: Any, ends: Any) -> bytes:
+    """Heads, each before the payload of its message.
+
+    Args:
+        data: the records of a chunk.
+        heads: one after the other, of equal size.
+        begins, ends: int64, places of the payloads.
+
+    Raises ValueError for places outside of the data, and heads of other sizes.
+    """
+    count = len(begins)
+    size = len(heads) // count if count else 0
+    if size * count != len(heads) or ((begins < 0) | (begins > ends) | (ends > len(data))).any():
+        raise ValueError("interleaved: found a message outside of the data, or heads of other sizes")
+    places = enumerate(zip(begins.tolist(), ends.tolist(), strict=True))
+    return b"".join(heads[at * size : at * size + size] + data[begin:end] for at, (begin, end) in places)
+
+
 def _messages(data: bytes) -> Iterator[tuple[int, int, int, int]]:
     """Place, end, log_time and publish_time of each message; of other records, the end behind -1."""
     at = 0
@@ -198,6 +222,13 @@ def _record_end(data: bytes, at: int) -> int:
 
 if not TYPE_CHECKING:
     try:
-        from igtl_gateway.native._columns import count_of, equal_ranges, rows_of, take, unwrap  # noqa: F401
+        from igtl_gateway.native._columns import (  # noqa: F401
+            count_of,
+            equal_ranges,
+            interleaved,
+            rows_of,
+            take,
+            unwrap,
+        )
     except ImportError:  # pragma: no cover - installed without the C part
         pass

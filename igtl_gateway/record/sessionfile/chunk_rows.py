@@ -59,8 +59,8 @@ class MessageRows(NamedTuple):
     """Messages to be added to chunks; each array has one element per message.
 
     Attributes:
-        data: bytes that have the payloads, at most 256 pieces.
-        which: uint8, the piece of each.
+        data: pieces of bytes that have the payloads.
+        which: uint16, the piece of each.
         idents: int32, indices into a list of RowStream or None.
         numbers: int64; the file has their lower 32 bits.
         times, publish_times: of the MCAP message, ns; 64 bits.

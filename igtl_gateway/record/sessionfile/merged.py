@@ -28,7 +28,7 @@ from igtl_gateway.base.untrusted.text import parse_json
 from igtl_gateway.base.untrusted.unpack import unpack_zstd_of_any_size
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.record.sessionfile import layout
-from igtl_gateway.record.sessionfile.chunk_columns import Row
+from igtl_gateway.record.sessionfile.chunk_columns import Columns, Row, interleaved
 from igtl_gateway.record.sessionfile.compression import compress
 from igtl_gateway.record.sessionfile.stream import McapStream
 
@@ -53,9 +53,15 @@ NUMBERS = 1 << 16
 
 Times = npt.NDArray[np.int64]
 MessageIn = tuple[Schema | None, Channel, Row]
+#: Schema and channel by the number of the channel.
+Definitions = Mapping[int, tuple[Schema | None, Channel]]
 
 _NAME = re.compile(r"\w+", re.ASCII)
 _MESSAGE = struct.Struct("<IIQQQ")
+_HEAD = np.dtype([("number", "<u4"), ("sequence", "<u4"), ("time", "<u8"), ("publish_time", "<u8"), ("size", "<u8")])
+_CHANNELS = 1 << 16
+#: Payloads up to this size together are copied behind their heads, and hashed at once.
+_COPIED_BYTES = 16 << 20
 
 
 class Method(Enum):
@@ -249,12 +255,40 @@ class Digest:
         self._hash = hashlib.sha256()
         self._channels = ChannelNumbers(self._channel)
         self._count = 0
+        self._numbers: tuple[Definitions, npt.NDArray[np.uint32]] | None = None  # by channel of a file; 0: not yet
 
     def message(self, schema: Schema | None, channel: Channel, row: Row) -> None:
         _, sequence, log_ns, publish_ns, start, end, data = row
         number = self._channels.of(schema, channel)
         self._hash.update(_MESSAGE.pack(number, sequence, log_ns, publish_ns, end - start))
         self._hash.update(memoryview(data)[start:end])
+
+    def messages(self, definitions: Definitions, data: bytes, rows: Columns) -> None:
+        """As :meth:`message`, of each: definitions by channel, and arguments as of `message_columns`."""
+        count, row = len(rows.channels), 0
+        if self._numbers is None or self._numbers[0] is not definitions:
+            self._numbers = definitions, np.zeros(_CHANNELS, np.uint32)
+        numbers = self._numbers[1]
+        while row < count:
+            unknown = numbers[rows.channels[row:]] == 0
+            end = row + int(np.argmax(unknown)) if unknown.any() else count
+            self._hash_rows(data, rows.where(slice(row, end)), numbers)
+            if end < count:
+                channel = int(rows.channels[end])
+                numbers[channel] = self._channels.of(*definitions[channel])
+            row = end
+
+    def _hash_rows(self, data: bytes, rows: Columns, numbers: npt.NDArray[np.uint32]) -> None:
+        heads = np.empty(len(rows.channels), _HEAD)
+        heads["number"], heads["size"] = numbers[rows.channels], rows.ends - rows.begins
+        heads["sequence"], heads["time"], heads["publish_time"] = rows.sequences, rows.times, rows.publish_times
+        if int(heads["size"].sum()) <= _COPIED_BYTES:
+            places = map(np.ascontiguousarray, (rows.begins, rows.ends))
+            self._hash.update(interleaved(data, heads.tobytes(), *places))
+            return
+        for head, begin, end in zip(heads, rows.begins.tolist(), rows.ends.tolist(), strict=True):
+            self._hash.update(head.tobytes())
+            self._hash.update(memoryview(data)[begin:end])
 
     def attachment(self, attachment: Attachment) -> None:
         self._part(attachment.name.encode())
@@ -305,9 +339,9 @@ def is_noted(channel: Channel) -> bool:
     return channel.metadata.get(PART_KIND_KEY) == Kind.EDGE_NOTE.value
 
 
-def pack_numbers(rows: list[tuple[int, int, int]]) -> bytes:
-    """Sequence, log_time and publish_time of messages: the differences, column by column, as one frame of zstd."""
-    columns = np.array(rows, np.uint64).reshape(-1, 3).T
+def pack_numbers(rows: npt.NDArray[np.uint64]) -> bytes:
+    """Sequence, log_time and publish_time of messages (N, 3): differences, column by column, as one frame of zstd."""
+    columns = np.array(rows.T)
     columns[2] -= columns[1]
     differences = np.diff(columns, axis=1, prepend=np.zeros((3, 1), np.uint64))
     data = np.ascontiguousarray(differences, "<u8").tobytes()

@@ -38,7 +38,7 @@ from igtl_gateway.record.sessionfile.channels import (
     kind_of,
     next_seq,
 )
-from igtl_gateway.record.sessionfile.chunk_columns import Row
+from igtl_gateway.record.sessionfile.chunk_columns import Columns, Row, channels_of
 from igtl_gateway.record.sessionfile.columns import END_NS, ColumnsReader, EntryColumns, Stream, Unfit, mask_of
 from igtl_gateway.record.sessionfile.contents import ChunkEntry
 from igtl_gateway.record.sessionfile.definition import Definition, FileDefinitions, another_definition
@@ -46,7 +46,7 @@ from igtl_gateway.record.sessionfile.index import read_index, read_record, recov
 from igtl_gateway.record.sessionfile.index_check import damaged_indexes
 from igtl_gateway.record.sessionfile.layout import LayoutError
 from igtl_gateway.record.sessionfile.lookup import LatchedStateRule, look_up
-from igtl_gateway.record.sessionfile.merged import MERGE_METADATA, Merge, extract_part, parse_merge
+from igtl_gateway.record.sessionfile.merged import MERGE_METADATA, Definitions, Merge, extract_part, parse_merge
 from igtl_gateway.record.sessionfile.order import message_columns, message_rows
 from igtl_gateway.record.sessionfile.records import Malformed
 from igtl_gateway.record.sessionfile.side_file import part_files
@@ -312,6 +312,19 @@ class SessionFile:
                 if row[0] in numbers:
                     channel = channels[row[0]]
                     yield schemas.get(channel.schema_id), channel, row
+
+    def all_columns(self) -> Iterator[tuple[Definitions, bytes, Columns]]:
+        """All messages as :meth:`messages`, in columns; arguments of ``Digest.messages``.  Raises as `entries`."""
+        schemas = self._index.schemas
+        definitions = {
+            number: (schemas.get(channel.schema_id), channel) for number, channel in self._index.channels.items()
+        }
+        with self._damage_in("entries"):
+            for _, data, columns, _ in message_columns(self._stream, self._index, str(self.path)):
+                unknown = set(channels_of(columns)) - self._known
+                if unknown:
+                    raise Malformed(f"found a message of channel {min(unknown)}, of which there is no record")
+                yield definitions, data, columns
 
     def first_links(self, channel: ChannelSummary) -> tuple[int, ...]:
         """The links of the first message of one of ``channels``; () for ROS, or without any.  Raises as `entries`."""
@@ -730,6 +743,12 @@ class SessionParts(SessionFile):
         for each in self.parts:
             with SessionFile.open(each.path) as part:
                 yield from part.messages(wanted)
+
+    def all_columns(self) -> Iterator[tuple[Definitions, bytes, Columns]]:
+        """As SessionFile.all_columns."""
+        for each in self.parts:
+            with SessionFile.open(each.path) as part:
+                yield from part.all_columns()
 
     def figures(self) -> dict[str, str] | None:
         """Those of the last part."""

@@ -111,7 +111,7 @@ class ColumnsWriter:
         found = self._numbered.of(columns)
         times, sources = columns.times, found.sources
         publish = np.where(sources == 0, times, sources)
-        which = np.zeros(len(columns), np.uint8)
+        which = np.zeros(len(columns), np.uint16)
         arrays = (which, found.idents, columns.numbers, times, publish, sources, found.begins, found.ends)
         rows = MessageRows((columns.data,), *map(np.ascontiguousarray, arrays))
         row = self._writer.add_columns(rows, 0, self._streams)

@@ -11,10 +11,11 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.bulk import MessageBlock
 from igtl_gateway.record.sessionfile.channels import ChannelSummary, joined
-from igtl_gateway.record.sessionfile.chunk_columns import Row
+from igtl_gateway.record.sessionfile.chunk_columns import Columns, Row
 from igtl_gateway.record.sessionfile.columns import END_NS, EntryColumns, Stream
 from igtl_gateway.record.sessionfile.definition import Definition
 from igtl_gateway.record.sessionfile.lookup import LatchedStateRule
+from igtl_gateway.record.sessionfile.merged import Definitions
 from igtl_gateway.record.sessionfile.reader import SessionFile
 
 _END_NS = 1 << 63
@@ -98,6 +99,10 @@ class SessionWithState(SessionFile):
     ) -> Iterator[tuple[Schema | None, Channel, Row]]:
         """Those of the file itself; as SessionFile.messages."""
         return self.itself.messages(wanted)
+
+    def all_columns(self) -> Iterator[tuple[Definitions, bytes, Columns]]:
+        """Those of the file itself; as SessionFile.all_columns."""
+        return self.itself.all_columns()
 
     def first_links(self, channel: ChannelSummary) -> tuple[int, ...]:
         """As SessionFile.first_links."""

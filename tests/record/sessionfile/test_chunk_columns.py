@@ -184,3 +184,25 @@ def test_ranges_are_compared_alike(buffers: list[bytes], places: list[tuple[int,
         except ValueError as error:
             results.append(str(error))
     assert results[0] == results[1]
+
+
+@given(st.binary(max_size=40), st.data())
+def test_heads_before_payloads(data: bytes, draw: st.DataObject) -> None:
+    places = draw.draw(st.lists(st.tuples(*[st.integers(-1, len(data) + 1)] * 2), max_size=5))
+    if draw.draw(st.booleans()):  # most places are right
+        places = [(min(pair), max(pair)) for pair in places if 0 <= min(pair) and max(pair) <= len(data)]
+    heads = draw.draw(st.binary(max_size=3)) * len(places) + draw.draw(st.sampled_from((b"", b"", b"x")))
+    begins, ends = (np.array([pair[at] for pair in places], np.int64) for at in (0, 1))
+    found = [made(module.interleaved, data, heads, begins, ends) for module in (compiled, PYTHON)]
+    assert found[0] == found[1]
+    size = len(heads) // len(places) if places else 0
+    if found[0] is not None:
+        parts = enumerate(places)
+        assert found[0] == b"".join(heads[at * size : (at + 1) * size] + data[begin:end] for at, (begin, end) in parts)
+
+
+def made(function: Any, *given: Any) -> bytes | None:
+    try:
+        return bytes(function(*given))
+    except ValueError:
+        return None

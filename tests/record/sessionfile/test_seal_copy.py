@@ -5,12 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from mcap.data_stream import ReadDataStream
+from mcap.reader import make_reader
+from mcap.records import Chunk, Message
+from mcap.stream_reader import breakup_chunk
 
 from igtl_gateway.base.errors import UnsupportedRecording
 from igtl_gateway.record.seal.keys import SigningKey
+from igtl_gateway.record.seal.statement import UnitRow
 from igtl_gateway.record.sessionfile.seal_check import SEALED, check_seal
 from igtl_gateway.record.sessionfile.seal_copy import seal_copy
-from igtl_gateway.record.sessionfile.sealing import SealSeries
+from igtl_gateway.record.sessionfile.sealing import Sealer, SealSeries
+from tests.places import FIXTURES
 from tests.tables import table
 from tools import mcap_build as build
 
@@ -48,3 +54,28 @@ def test_statistics_of_a_file_are_read_before_the_copy_is_written(name: str, tmp
     with pytest.raises(UnsupportedRecording, match=f"a.mcap: .*{reason}"):
         seal_copy(source, output, sealer)
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+
+
+@table("path", sorted(FIXTURES.glob("*.mcap")), ids=lambda path: str(path.stem))
+def test_a_seal_has_the_first_and_the_last_entry_of_each_chunk(path: Path, tmp_path: Path) -> None:
+    out = tmp_path / "sealed.mcap"
+    sealer = SealSeries(SigningKey.generate(), lambda: 1).next_file(out)
+    rows: list[UnitRow] = []
+
+    def add(unit: UnitRow) -> None:
+        rows.append(unit)
+        Sealer.add(sealer, unit)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sealer, "add", add)
+        seal_copy(path, out, sealer)
+    found = [(row.first, row.last) for row in rows if row.kind == "chunk"]
+    with path.open("rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes  # type: ignore[union-attr]
+        expected = []
+        for chunk in sorted(chunks, key=lambda each: each.chunk_start_offset):
+            stream.seek(chunk.chunk_start_offset + 9)
+            records = breakup_chunk(Chunk.read(ReadDataStream(stream)))
+            numbers = [record.sequence for record in records if isinstance(record, Message)]
+            expected.append((min(numbers), max(numbers)))
+    assert found == expected
