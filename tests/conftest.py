@@ -115,18 +115,29 @@ SLOW = (
     "test_examples.py",
 )
 
-#: The third tier, which only ``make test-long`` runs: how the names of tests begin.  What they check, a shorter test of
-#: the gate checks in part.
+#: Files that only ``make test-long`` runs → a file of the gate that checks a part of their subject in less time.  They
+#: do not come here by folders: what takes little time belongs to the gate.
+LONG_FILES = {
+    "addons/exchange/test_targets.py": "addons/exchange/test_folder.py",
+    "integration/test_hostile_crowds.py": "integration/test_hostile.py",
+    "integration/test_page_person.py": "addons/page/test_server.py",
+    "integration/test_page_views.py": "addons/page/test_process.py",
+    "lab/bench/test_hop.py": "lab/bench/test_rounds.py",
+    "lab/bench/test_native.py": "lab/bench/test_probe.py",
+    "lab/bench/test_peers.py": "lab/bench/test_payloads.py",
+    "lab/bench/test_works.py": "lab/bench/test_bounds.py",
+    "test_notebooks.py": "api/test_recording.py",
+}
+
+#: The third tier: how the names of tests begin.
 LONG = (
-    "addons/exchange/test_targets.py",
-    "addons/review/test_assess.py",
-    "integration/test_page_person.py",
+    *LONG_FILES,
+    *(f"addons/review/test_assess.py::test_the_{name}" for name in ("planted_", "distances_", "noise_")),
     "addons/page/test_process.py::test_a_folder_without_a_bridge",
     "addons/page/test_process.py::test_a_port_in_use_is_a_note",
     "addons/page/test_process.py::test_the_bridge_goes_on_without_its_page",
     "addons/page/test_process.py::test_the_parameter_of_ros_opens_the_page",
-    "integration/test_page_views.py",
-    "addons/resim/test_causes.py",
+    "addons/resim/test_causes.py::test_the_cause_is",
     "addons/resim/test_programs.py::test_nodes_of_scenarios",
     "addons/resim/test_api.py::TestTheFixture::test_in_a_project",
     "addons/resim/test_igtl_peer.py::test_beside_a_client_and_a_node",
@@ -140,16 +151,15 @@ LONG = (
     "integration/test_fair_shares.py::test_a_good_peer_is_answered_beside_twenty_that_flood[TRANSFORM]",
     "integration/test_marks_everywhere.py::test_every_verb_on_every_fixture",
     "integration/test_soak.py::test_load_with_guests_that_come_and_go",
-    "integration/test_hostile_crowds.py",
-    "test_gateway_fuzz.py",
-    "test_notebooks.py",
-    "test_release.py",
+    "lab/bench/test_bridges.py::test_a_bridge_that_ends_is_quoted",
+    "lab/bench/test_bridges.py::test_one_that_is_not_ready_is_quoted",
+    *(f"lab/cli/test_bench.py::test_{name}" for name in ("a_real_run", "a_bridge_that", "the_mixed_load")),
+    *(f"test_gateway_fuzz.py::test_{name}" for name in ("igtl_in", "ros_in", "the_gateway_stands")),
+    *(f"test_release.py::test_the_{name}" for name in ("sums", "wheels", "sdist", "sbom")),
+    *(f"test_site.py::test_{name}" for name in ("every_link", "no_markup", "the_search")),
     "test_try_extras.py::test_the_oldest_and_the_newest_python",
     "test_try_install.py::test_an_upgrade",
     "test_try_install.py::test_each_installer",
-    "test_site.py",
-    "lab/bench/",
-    "lab/cli/test_bench.py",
 )
 
 #: Where several workers take files in turn, these go first: none of them must be left for the end.

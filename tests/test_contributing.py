@@ -15,7 +15,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from igtl_gateway.base.versions import tomllib
-from tests.conftest import SLOW
+from tests.conftest import LONG, LONG_FILES, SLOW
 from tests.places import ROOT
 from tests.tables import table
 
@@ -95,6 +95,35 @@ def test_the_tiers_together_are_everything() -> None:
     assert [word for word in everywhere if word.startswith(selecting)] == []
     assert [word for word in everywhere if (ROOT / word).exists()] == [], "a path leaves out what lies elsewhere"
     assert PYPROJECT["tool"]["pytest"]["ini_options"]["testpaths"] == ["tests"]
+
+
+def test_the_third_tier_has_tests_and_no_folders() -> None:
+    """A folder would take each test with it that is written there later, and the gate would not run it."""
+    for name in LONG:
+        file, _, test = name.partition("::")
+        path = ROOT / "tests" / file
+        assert path.suffix == ".py" and path.is_file(), name
+        assert (name in LONG_FILES) == (not test), name
+        begin = test.partition("[")[0].rpartition("::")[2]
+        assert not test or re.search(rf"^ *def {begin}", path.read_text("utf-8"), re.MULTILINE), name
+
+
+def test_for_each_file_of_the_third_tier_the_gate_has_another() -> None:
+    for substitute in LONG_FILES.values():
+        assert (ROOT / "tests" / substitute).is_file() and substitute not in LONG_FILES, substitute
+
+
+@pytest.mark.slow
+def test_the_gate_runs_each_test_file_but_those_of_the_third_tier() -> None:
+    """As pytest collects them, with the selection of the gate."""
+    collect = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider"]
+    done = subprocess.run([*collect, *pytest_words("test")[-2:]], cwd=ROOT, capture_output=True, text=True, check=True)
+    collected = {line.partition("::")[0] for line in done.stdout.splitlines() if "::" in line}
+    files = {path.relative_to(ROOT).as_posix(): path.read_text("utf-8") for path in (ROOT / "tests").rglob("test_*.py")}
+    optional = {
+        name for name, text in files.items() if re.search(r"^(\w+ = )?pytest\.importorskip", text, re.MULTILINE)
+    }
+    assert files.keys() - collected - optional == {f"tests/{name}" for name in LONG_FILES}
 
 
 @pytest.mark.parametrize(("tier", "code"), [("slow", 0), ("not slow", 5)])

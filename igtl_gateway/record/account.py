@@ -67,7 +67,7 @@ class Account:
         return self.not_queued - before
 
     def pause(self, left_out: int) -> None:
-        """A pause begins; so many entries were left out before it."""
+        """A pause begins; ``left_out`` entries were left out before it."""
         self._left_out = left_out
 
     def left_out_since_pause(self, left_out: int) -> int:

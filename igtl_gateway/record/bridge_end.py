@@ -1,4 +1,4 @@
-"""The worker's end of the pipe to the bridge: reports, questions, signals, and whether the bridge has gone."""
+"""The worker's end of the pipe to the bridge: reports, questions, signals, and whether the bridge has ended."""
 
 from __future__ import annotations
 

@@ -37,15 +37,15 @@ class FlushTimes:
         self._late_ns = 0  # since it was so before
         self._flushed_ns = self._looked_ns = self.due_ns = now_ns
 
-    def pause_ns(self, taken: int, now_ns: int, *, hurries: bool) -> int:
+    def pause_ns(self, taken: int, now_ns: int, *, waits: bool) -> int:
         """Return the time until the next poll: until the next flush, unless something has to be soon.
 
         Args:
             taken: entries and commands that the last poll has found.
-            hurries: something waits for the next poll.
+            waits: something waits for the next poll.
         """
         due_ns = self._flushed_ns + self._flush_ns - now_ns
-        if taken > _FEW or hurries:
+        if taken > _FEW or waits:
             return min(LOOK_NS, due_ns) if due_ns > 0 else LOOK_NS
         return max(LOOK_NS, due_ns)
 

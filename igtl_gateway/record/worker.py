@@ -223,8 +223,8 @@ class _RecorderWorker:
 
     def _run_once(self) -> None:
         begun_ns = self._clock.monotonic_ns()
-        hurries = bool(self._requests) or self._priority.is_raised
-        pause_ns = self._times.pause_ns(self._taken, begun_ns, hurries=hurries)
+        waits = bool(self._requests) or self._priority.is_raised
+        pause_ns = self._times.pause_ns(self._taken, begun_ns, waits=waits)
         rested = self._wait(pause_ns)
         now_ns = self._clock.monotonic_ns()
         self._times.rested(pause_ns, now_ns - begun_ns)

@@ -9,7 +9,7 @@ MS = 1_000_000
 
 
 @table(
-    "taken, hurries, now_ms, pause_ms",
+    "taken, waits, now_ms, pause_ms",
     [
         (0, False, 0, 400),  # until the flush, which is early
         (0, True, 0, 50),
@@ -20,9 +20,9 @@ MS = 1_000_000
         (0, False, 380, 50),
     ],
 )
-def test_the_pause_ends_with_the_flush_or_with_the_look(taken: int, hurries: bool, now_ms: int, pause_ms: int) -> None:
+def test_the_pause_ends_with_the_flush_or_with_the_look(taken: int, waits: bool, now_ms: int, pause_ms: int) -> None:
     times = FlushTimes(0.5, 0)
-    assert times.pause_ns(taken, now_ms * MS, hurries=hurries) == pause_ms * MS
+    assert times.pause_ns(taken, now_ms * MS, waits=waits) == pause_ms * MS
 
 
 @table("flush_s, early_ms", [(0.5, 100), (0.4, 100), (0.2, 50)])

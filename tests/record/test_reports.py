@@ -26,7 +26,7 @@ def test_a_recording_is_discarded_with_its_folder_but_not_with_foreign_files(tmp
         folder = tmp_path / "a"
         folder.mkdir(exist_ok=True)
         files = (folder / "a_0.mcap", folder / "a_1.mcap")
-        files[0].touch()  # the other one has gone already
+        files[0].touch()  # the other one is missing already
         return RecordingSummary(folder, 0, 0, {}, {}, files)
 
     summary().discard()
