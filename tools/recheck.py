@@ -2,7 +2,8 @@
 
     python tools/recheck.py [SESSIONS] [CHANGES]
 
-Prints a table of how many results are equal, in everything that `verify --json` prints.
+Prints a table of how many results are equal, in everything that `verify --json` prints, also where segments give the
+result.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 from igtl_gateway.app.verification import Verification, verify_recording
 from igtl_gateway.base.buffers import join
@@ -30,7 +32,11 @@ from igtl_gateway.gateway import LINK_DOWN, LINK_UP, TICK, Gateway, Session
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
+from igtl_gateway.replay import segments
+from igtl_gateway.replay.recorded_config import config_to_run
+from igtl_gateway.replay.verify import DeclaredLosses, VerifyReport
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.message import Item
 from igtl_gateway.wire.text import String as StringBody
@@ -230,6 +236,27 @@ def _result(path: Path, *, reference: bool) -> Verification | str:
         return str(error)
 
 
+def in_segments(path: Path, most: int = 4) -> VerifyReport | None:
+    """The result of segments; None: they do not show that the recording is verified."""
+    with SessionFile.open(path) as file, patch.object(segments, "LEAST_ENTRIES", 20):
+        losses, config = DeclaredLosses.of(file.session, file.ledger), config_to_run(file.session)
+        planned = segments.plan(file, losses, most)
+
+        def run(some: Sequence[segments.Segment]) -> list[segments.SegmentResult | None]:
+            return [segments.verify_segment(file, each, config, losses, compiles=True) for each in some]
+
+        try:
+            return segments.verify_in_segments(planned, run, file.entry_count) if planned else None
+        except GatewayError:
+            return None
+
+
+def is_equal(report: VerifyReport, result: Verification | str) -> bool:
+    """Whether segments give the result of the whole."""
+    found = {each.name: getattr(report, each.name) for each in fields(report)} | {"compiled": 0}
+    return not isinstance(result, str) and found.items() <= (judged(result) | {"differences": []}).items()
+
+
 def judged(result: Verification | str) -> dict[str, Any]:
     """What has to be equal."""
     return {"error": result} if isinstance(result, str) else result.to_dict() | {"compiled": 0}
@@ -246,20 +273,26 @@ def main(sessions: int = 1_000, changes: int = 500) -> int:
                 entries = CHANGES[name](entries, chance)
             path = written(Path(folder) / f"{seed}.mcap", config, entries)
             quick, reference = both(path)
+            report = in_segments(path)
             path.unlink()
             row, wanted = rows[name], judged(reference)
             row["planted"] += 1
             row["found"] += not wanted.get("good", False)
             row["equal"] += judged(quick) == wanted
+            row["segments"] += report is not None
+            row["segments equal"] += report is None or is_equal(report, reference)
             if not isinstance(quick, str):
                 row["compiled"] += quick.compiled
                 row["inputs"] += quick.inputs
-    print("| change | recordings | found by the full path | equal results |\n|---|---|---|---|")
+    head = ("change", "recordings", "found by the full path", "equal results", "result by segments", "of these equal")
+    print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
     for name, row in rows.items():
-        print(f"| {name} | {row['planted']:,} | {row['found']:,} | {row['equal']:,} |")
+        wrong = row["planted"] - row["segments equal"]
+        numbers = (row["planted"], row["found"], row["equal"], row["segments"], row["segments"] - wrong)
+        print(f"| {name} | {' | '.join(f'{number:,}' for number in numbers)} |")
     good = rows["unchanged"]
     print(f"\n{good['compiled']:,} of {good['inputs']:,} inputs by compiled conversions")
-    return 0 if all(row["planted"] == row["equal"] for row in rows.values()) else 1
+    return 0 if all(row["planted"] == row["equal"] == row["segments equal"] for row in rows.values()) else 1
 
 
 if __name__ == "__main__":

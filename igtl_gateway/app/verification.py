@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.base.errors import UnsupportedRecording
+from igtl_gateway.base.errors import GatewayError, UnsupportedRecording
+from igtl_gateway.base.systems.forks import can_fork, free_memory, in_processes
+from igtl_gateway.base.untrusted import cpu_time
 from igtl_gateway.base.version import __version__
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.record.sessionfile.columns import Unfit
@@ -14,7 +19,13 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import LeafDecoder
 from igtl_gateway.replay.recheck import can_recheck, message_counts, recheck
 from igtl_gateway.replay.recorded_config import absent_sources, config_to_run, units_of
+from igtl_gateway.replay.segments import Segment, SegmentResult, plan, verify_in_segments, verify_segment
 from igtl_gateway.replay.verify import DeclaredLosses, Difference, VerifyReport, verify
+
+#: Entries of a segment, about, and the most segments for each process.
+_ENTRIES_EACH, _MOST_EACH = 500_000, 4
+#: What a process may need, bytes.
+_MEMORY_OF_WORKER = 256 << 20
 
 #: Key of the version that recorded the session.
 _VERSION = "igtl_gateway_version"
@@ -88,21 +99,26 @@ def verify_parts(path: Path, config_path: Path | None = None, *, reference: bool
     return [verify_recording(path / name, config_path, reference=reference) for name in names]
 
 
-def verify_recording(path: Path, config_path: Path | None = None, *, reference: bool = False) -> Verification:
+def verify_recording(
+    path: Path, config_path: Path | None = None, *, reference: bool = False, workers: int = 1
+) -> Verification:
     """Verify a recording.
 
     Args:
         path: the recording.
         config_path: configuration file to use instead of the recorded configuration.
         reference: compute all outputs by the full path.
+        workers: processes that verify segments of a long recording; fewer without memory for them.
 
     Raises UnsupportedRecording for other files and for imports, DamagedRecording, ConfigError.
     """
     with SessionFile.open(path) as file:
-        return verify_session(file, config_path, reference=reference)
+        return verify_session(file, config_path, reference=reference, workers=workers)
 
 
-def verify_session(file: SessionFile, config_path: Path | None = None, *, reference: bool = False) -> Verification:
+def verify_session(
+    file: SessionFile, config_path: Path | None = None, *, reference: bool = False, workers: int = 1
+) -> Verification:
     """Verify an open recording; see `verify_recording`."""
     path = file.path
     if file.merge:
@@ -118,7 +134,9 @@ def verify_session(file: SessionFile, config_path: Path | None = None, *, refere
     config = _config(path, config_path, file, recorded_by)
     decoder = LeafDecoder(file.definitions, units_of(config, file))
     losses = DeclaredLosses.of(file.session, file.ledger)
-    report = None if reference else _recheck(file, config, losses, decoder)
+    report = _in_segments(file, config, losses, decoder, reference, workers) if workers > 1 else None
+    if report is None and not reference:
+        report = _recheck(file, config, losses, decoder)
     if report is None or not report.good:
         report = verify(file.entries(), config, losses, before=file.prologue(), decoder=decoder)
     counts = {each.name: getattr(report, each.name) for each in fields(VerifyReport)}
@@ -128,6 +146,39 @@ def verify_session(file: SessionFile, config_path: Path | None = None, *, refere
     return Verification(
         path, recorded_by, __version__, config_name, **counts, damaged_indexes=file.damaged_indexes(), absent=absent
     )
+
+
+def _in_segments(
+    file: SessionFile, config: Config, losses: DeclaredLosses, decoder: LeafDecoder, reference: bool, workers: int
+) -> VerifyReport | None:
+    """The result of segments in processes; None: the recording has to be verified as a whole."""
+    memory = free_memory()
+    workers = workers if memory is None else min(workers, memory // _MEMORY_OF_WORKER)
+    if workers < 2 or not can_fork():
+        return None
+    compiles = not reference and can_recheck(config)
+
+    count = workers * max(1, min(_MOST_EACH, file.entry_count // (workers * _ENTRIES_EACH)))
+
+    def verified(segment: Segment) -> SegmentResult | None:
+        with suppress(GatewayError, OSError, MemoryError, Unfit), cpu_time.bounded():
+            with SessionFile.open(file.path) as opened:  # with a place in the file of its own
+                return verify_segment(opened, segment, config, losses, decoder, compiles=compiles)
+        return None
+
+    def run(segments: Sequence[Segment]) -> list[SegmentResult | None]:
+        def work(number: int) -> bytes:
+            found = verified(segments[number])
+            return json.dumps(found and found.to_dict()).encode()
+
+        replies = [json.loads(reply or b"null") for reply in in_processes(work, len(segments), workers)]
+        return [reply and SegmentResult(**reply) for reply in replies]
+
+    try:
+        segments = plan(file, losses, count)
+    except (GatewayError, OSError):  # as the whole says
+        return None
+    return verify_in_segments(segments, run, file.entry_count) if segments else None
 
 
 def _recheck(file: SessionFile, config: Config, losses: DeclaredLosses, decoder: LeafDecoder) -> VerifyReport | None:

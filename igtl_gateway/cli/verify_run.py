@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from igtl_gateway.app.sealing import UNTIMED, SealVerification, verify_seal
 from igtl_gateway.app.verification import RECORDED, Verification, verify_parts, verify_recording
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.systems.processes import usable_cpus
 from igtl_gateway.cli.common import count_text, print_damaged_indexes, utc_text
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.record.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, UNTRUSTED, SealReport
@@ -32,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
         return _run_seal(options)
     if parts := verify_parts(options.file, options.config, reference=options.reference):
         return _run_parts(parts, options)
-    result = verify_recording(options.file, options.config, reference=options.reference)
+    result = verify_recording(options.file, options.config, reference=options.reference, workers=usable_cpus())
     if options.json:
         print_json(result.to_dict())
     else:

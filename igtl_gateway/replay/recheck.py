@@ -164,6 +164,12 @@ class Checker:
         self._fast_path.native = self._streams
         self._numbered = StreamNumbers(self._names.number)
 
+    def offer(self, inputs: Iterable[Entry]) -> None:
+        """Inputs took the full path before: let the passage copy their compiled streams."""
+        for entry in inputs:
+            if entry.kind.is_input:
+                self._fast_path.offer(entry)
+
     def collect(self) -> None:
         """Have the core take over what was counted."""
         self._streams.collect_all()

@@ -219,6 +219,10 @@ class Verifier:
         """Whether nothing differs so far."""
         return self._report.good
 
+    def go_on(self, number: int) -> None:
+        """The entries before this number were verified by another one."""
+        self._last = number - 1
+
     @property
     def settled_at(self) -> int | None:
         """Number of the last entry, if no output of it is expected any more; None before the first entry, too."""

@@ -37,6 +37,13 @@ if sys.platform == "win32":
         """
         return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
 
+    def die_with_parent(death_signal: int = KILL) -> None:
+        """Do nothing: Windows has no such signal.
+
+        Args:
+            death_signal: not used.
+        """
+
     def lower_priority(niceness: int) -> None:
         """Run this process only when no other one needs the processor.
 
@@ -87,6 +94,11 @@ else:
         """
         return {"start_new_session": True, "preexec_fn": partial(_prepare, death_signal)}
 
+    def die_with_parent(death_signal: int = signal.SIGKILL) -> None:
+        """On Linux, get a signal when the thread that started this process ends, in whatever way."""
+        if _LIBC:
+            _LIBC.prctl(_PR_SET_PDEATHSIG, death_signal)
+
     def _prepare(death_signal: int) -> None:
         """In the new process, before the program: accept interrupts, and end with the thread that started it.
 
@@ -94,8 +106,7 @@ else:
         """
         # ignored where a shell without job control started us in the background; the program would ignore it, too
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-        if _LIBC:
-            _LIBC.prctl(_PR_SET_PDEATHSIG, death_signal)
+        die_with_parent(death_signal)
         if niceness := os.nice(0):  # else it would not count: the share of a new session is that of others
             set_session_niceness(niceness)
 

@@ -260,10 +260,11 @@ def is_wire(stream: Stream) -> bool:
 
 def mask_of(channels: npt.NDArray[np.uint16], numbers: Iterable[int]) -> npt.NDArray[np.bool_]:
     """Mask of the messages of some MCAP channels."""
-    return _table_of(numbers)[channels]
+    return table_of(numbers)[channels]
 
 
-def _table_of(numbers: Iterable[int]) -> npt.NDArray[np.bool_]:
+def table_of(numbers: Iterable[int]) -> npt.NDArray[np.bool_]:
+    """For each possible MCAP channel, whether it is one of these."""
     table = np.zeros(_CHANNELS, np.bool_)
     table[list(numbers)] = True
     return table
@@ -291,7 +292,7 @@ class ColumnsReader:
         counted: bool,
     ) -> None:
         self._table = _Table(streams, decoders, name, remedy)
-        self._known, self._read = _table_of(known), _table_of(streams)
+        self._known, self._read = table_of(known), table_of(streams)
         self._counted = counted
         self._seq, self._first = 0, True
 

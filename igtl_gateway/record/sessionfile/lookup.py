@@ -114,7 +114,7 @@ def look_up(
         concerned = range(len(before)) if counted else _concerned(search, before)
         for at, index in enumerate(before):
             if at in concerned:
-                search.chunk(at, *_index(stream, index))
+                search.chunk(at, *chunk_messages(stream, index))
             else:
                 search.skip()
         rows, size, most = [], 0, limits.current_limits().unpacked(file.size)
@@ -228,8 +228,27 @@ class _Search:
         return np.asarray(flags[np.minimum(channels, len(flags) - 1)] & (channels < len(flags)))
 
 
-def _index(stream: IO[bytes], index: ChunkEntry) -> tuple[Numbers, Numbers, Numbers]:
-    """Channels, times and offsets of the messages of a chunk, in order."""
+def chunk_times(stream: IO[bytes], file: Index) -> Iterator[tuple[Numbers, Numbers]] | None:
+    """Channels and times of the messages of each chunk, in order; None where the index is not usable.
+
+    Raises ValueError where it turns out to be so.
+    """
+    if file.scanned or any(one.end_ns >= two.start_ns for one, two in pairwise(file.chunks)):
+        return None
+    return _chunk_times(stream, file.chunks)
+
+
+def _chunk_times(stream: IO[bytes], chunks: list[ChunkEntry]) -> Iterator[tuple[Numbers, Numbers]]:
+    for index in chunks:
+        try:
+            channels, times, _ = chunk_messages(stream, index)
+        except (_Unfit, Malformed, struct.error, LookupError) as error:
+            raise ValueError(str(error)) from None
+        yield channels, times
+
+
+def chunk_messages(stream: IO[bytes], index: ChunkEntry) -> tuple[Numbers, Numbers, Numbers]:
+    """Channels, times and offsets of the messages of a chunk, in order.  Raises _Unfit, Malformed and others."""
     start = index.at + index.length
     stream.seek(start)
     data = stream.read(index.index_length)

@@ -9,7 +9,7 @@ Memory is bounded: a few chunks at a time, as long as chunks do not overlap in t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Generator, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from io import BytesIO
@@ -45,7 +45,7 @@ from igtl_gateway.record.sessionfile.definition import Definition, FileDefinitio
 from igtl_gateway.record.sessionfile.index import read_index, read_record, recover_hint
 from igtl_gateway.record.sessionfile.index_check import damaged_indexes
 from igtl_gateway.record.sessionfile.layout import LayoutError
-from igtl_gateway.record.sessionfile.lookup import LatchedStateRule, look_up
+from igtl_gateway.record.sessionfile.lookup import LatchedStateRule, Numbers, chunk_times, look_up
 from igtl_gateway.record.sessionfile.merged import MERGE_METADATA, Definitions, Merge, extract_part, parse_merge
 from igtl_gateway.record.sessionfile.order import message_columns, message_rows
 from igtl_gateway.record.sessionfile.records import Malformed
@@ -246,7 +246,7 @@ class SessionFile:
         return self._columns(start_ns, end_ns, wanted)
 
     def _columns(self, start_ns: int, end_ns: int, wanted: Callable[[Stream], bool]) -> Iterator[EntryColumns]:
-        streams = {number: Stream(*each, self._index.channels[number].topic) for number, each in self._streams.items()}
+        streams = self._stated_streams()
         chosen = {number for number, stream in streams.items() if wanted(stream)}
         reader = ColumnsReader(
             str(self.path), recover_hint(self.path), streams, self._decoders, self._known, counted=self.foreign
@@ -273,6 +273,27 @@ class SessionFile:
                     raise DamagedRecording(f"{self.path}: {fault}{recover_hint(self.path)}")
         if not start_ns and end_ns >= END_NS:
             self._check_count(count, sum(self._index.counts.get(number, 0) for number in chosen))
+
+    def times(self) -> Iterator[tuple[Mapping[int, Stream], Numbers, Numbers]]:
+        """Channels, as keys of what they are, and times (UTC ns) of the messages of each chunk, by its index, in order.
+
+        No chunk is unpacked, so this is only what the file claims.  Raises Unfit where it has no usable index.
+        """
+        if self.format_version != layout.FORMAT_VERSION or self.foreign:
+            raise Unfit
+        streams = self._stated_streams()
+        with self._damage_in("index"):
+            found = chunk_times(self._stream, self._index)
+            if found is None:
+                raise Unfit
+            try:
+                for channels, times in found:
+                    yield streams, channels, times
+            except ValueError:
+                raise Unfit from None
+
+    def _stated_streams(self) -> dict[int, Stream]:
+        return {number: Stream(*each, self._index.channels[number].topic) for number, each in self._streams.items()}
 
     def span(self, channel: ChannelSummary) -> tuple[int, int]:
         """Times of the first and the last message of one of ``channels``, UTC ns; (0, 0) without any.
@@ -713,6 +734,12 @@ class SessionParts(SessionFile):
                         raise DamagedRecording(f"{each.path}: found entry number {first}, expected one above {seq}")
                     seq = int(columns.numbers[-1])
                     yield columns
+
+    def times(self) -> Iterator[tuple[Mapping[int, Stream], Numbers, Numbers]]:
+        """As SessionFile.times."""
+        for each in self.parts:
+            with SessionFile.open(each.path) as part:
+                yield from part.times()
 
     def span(self, channel: ChannelSummary) -> tuple[int, int]:
         """As SessionFile.span; the parts between the first and the last one with the stream are not opened."""
