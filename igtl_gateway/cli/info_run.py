@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.base.errors import BeingRecorded, ConfigError, DamagedRecording, GatewayError, LimitExceeded
 from igtl_gateway.base.stamp import NS_PER_S
@@ -30,12 +30,14 @@ from igtl_gateway.record.sessionfile import facts, layout
 from igtl_gateway.record.sessionfile.added_marks import added_marks, marks_files
 from igtl_gateway.record.sessionfile.index import recover_hint
 from igtl_gateway.record.sessionfile.reader import PartSummary, SessionFile
-from igtl_gateway.record.sessionfile.salvage import Salvage
 from igtl_gateway.record.sessionfile.seals import stated_seals
 from igtl_gateway.replay.content_figures import summary_of
 from igtl_gateway.replay.content_summary import ContentSummary, StreamSummary
 from igtl_gateway.replay.recorded_config import peer_units
 from igtl_gateway.replay.recorded_marks import marks_of
+
+if TYPE_CHECKING:
+    from igtl_gateway.record.sessionfile.salvage import Salvage
 
 _IGTL = frozenset({Kind.IGTL_IN.value, Kind.IGTL_OUT.value})
 _ROS = frozenset({Kind.ROS_IN.value, Kind.ROS_OUT.value})
@@ -95,6 +97,8 @@ def _run_damaged(options: argparse.Namespace, place: Path, error: DamagedRecordi
     """The same of whatever can be read: a finding, unless the recording has not ended yet."""
     growing = isinstance(error, BeingRecorded)
     why = str(error).replace(str(place), str(options.file))
+    from igtl_gateway.record.sessionfile.salvage import Salvage  # here: few recordings are damaged
+
     with Salvage.open(place) as file:
         content = ContentSummary.of(file.entries())
         report = file.report

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import platform
 from collections.abc import Iterator
 from importlib.util import find_spec
 from typing import Any
@@ -36,6 +35,8 @@ class VersionAction(argparse.Action):
         super().__init__(option_strings, argparse.SUPPRESS, nargs=0, help=help)
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        import platform  # here: no other option needs it
+
         rows = {
             "session log": f"file format version {FORMAT_VERSION}",
             "OpenIGTLink": f"header versions {HEADER_VERSIONS}",

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from igtl_gateway.gateway.core import LISTENED, TICK, Gateway
-    from igtl_gateway.gateway.dialogue.links import LINK_DOWN, LINK_UP, LINKS_TOPIC
+    from igtl_gateway.gateway.dialogue.links import LINKS_TOPIC
+    from igtl_gateway.gateway.log.note import LINK_DOWN, LINK_UP
     from igtl_gateway.gateway.relay import CUT, FAULT, PARTNER, RelayGateway
     from igtl_gateway.gateway.session import Core, Session, header_names, make_core
 
@@ -41,7 +42,8 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from igtl_gateway.gateway import core, relay, session
     from igtl_gateway.gateway.dialogue import links
+    from igtl_gateway.gateway.log import note
 
-    for module in (core, links, relay, session):
+    for module in (core, links, note, relay, session):
         globals().update({each: getattr(module, each) for each in __all__ if hasattr(module, each)})
     return globals()[name]

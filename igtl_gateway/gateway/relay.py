@@ -26,7 +26,6 @@ from igtl_gateway.gateway.acceptance import Acceptance
 from igtl_gateway.gateway.activity import INACTIVE, Activity
 from igtl_gateway.gateway.command_guard import Write
 from igtl_gateway.gateway.denials import Denials
-from igtl_gateway.gateway.dialogue.links import LINK_DOWN, LINK_UP
 from igtl_gateway.gateway.fastpath import FastHandler, PrepareMessage, no_fast_path
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.live_settings import LiveSettings
@@ -36,7 +35,7 @@ from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.fates import RELAYED
 from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.log.marks import MarkNote, OpenPhases
-from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.gateway.log.note import LINK_DOWN, LINK_UP, Level, Note
 from igtl_gateway.gateway.output import Output, note_output
 from igtl_gateway.gateway.stamps import moved
 from igtl_gateway.gateway.to_ros.subscribers import HasSubscriber

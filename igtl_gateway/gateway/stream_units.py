@@ -9,9 +9,8 @@ from igtl_gateway.base.errors import WireError
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.units import UNITS
 from igtl_gateway.gateway.acceptance import Acceptance
-from igtl_gateway.gateway.dialogue.links import LINK_UP
 from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.log.note import LINK_UP, Note
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.gateway.streams import Streams, is_of_arm
 from igtl_gateway.gateway.to_igtl.sender import ARM_UNIT

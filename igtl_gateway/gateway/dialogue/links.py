@@ -19,7 +19,7 @@ from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.ledger import PEERS
-from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.gateway.log.note import LINK_UP, Level, Note
 from igtl_gateway.gateway.naming import SharedNames
 from igtl_gateway.gateway.outcome import Finding, Item, Outcome, Tally
 from igtl_gateway.gateway.output import Output, ros_output
@@ -31,8 +31,6 @@ from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
 from igtl_gateway.gateway.to_igtl.tf_receive import TfReceiver
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.query import EmptyQuery, split_query
-
-LINK_UP, LINK_DOWN = "link_up", "link_down"
 
 #: Latched messages wait for the first message of a peer, at most this time, and this time after its last GET_.
 _HELLO_NS, _ASKING_NS = NS_PER_S // 4, 2 * NS_PER_S

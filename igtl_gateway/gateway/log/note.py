@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
+#: Codes of the notes about links.
+LINK_UP, LINK_DOWN = "link_up", "link_down"
 #: Reason, in the data of its note, of a link that ends because the bridge does.
 STOPPED = "stopped"
 

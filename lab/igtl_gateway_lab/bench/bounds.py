@@ -90,6 +90,7 @@ BOUNDS: Sequence[Bound] = (
     Bound("cpu_ratio", 0.3, ("offline",), stream="export *"),
     Bound("us_an_entry", 3.4, ("offline",), stream="verify, A"),
     Bound("us_an_entry", 1.7, ("offline",), stream="diff *, A"),
+    Bound("us_an_input", 100, ("offline",), stream="resim *"),
     Bound("sent_per_s", 150_000, ("offline",), stream="replay *", least=True),
 )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import shutil
 import socket
@@ -24,9 +25,17 @@ from igtl_gateway_lab.programs import ours
 from igtl_gateway_lab.simulate.stage import START_NS
 
 #: Recording → what makes it, how many times as long as the others it is.
-_MADE = {"A": (recordings.small, 1), "B": (recordings.pictures, 1), "C": (recordings.mixed, 6)}
+_MADE = {
+    "A": (recordings.small, 1.0),
+    "B": (recordings.pictures, 1.0),
+    "C": (recordings.mixed, 6.0),
+    "A/10": (recordings.small, 0.1),
+}
+#: What is merged with another one.
+_SECOND = "C"
 _RECEIVED_BYTES = 1 << 20
 _ENDS_S = 30.0
+_LIGHT_NODE = Path(__file__).parents[1] / "demo" / "light_node.py"
 _PYMCAP, _RERUN = "pymcap-cli", "rerun"
 
 
@@ -34,19 +43,24 @@ _PYMCAP, _RERUN = "pymcap-cli", "rerun"
 class Job:
     """A verb on a recording, and the same by another program.
 
-    ``{file}``, ``{out}``, ``{start}`` and ``{end}`` (seconds), ``{start_ns}`` and ``{end_ns}`` (UTC) are replaced.
+    ``{file}``, ``{out}``, ``{start}`` and ``{end}`` (seconds), ``{start_ns}`` and ``{end_ns}`` (UTC), ``{second}``
+    (recording C), ``{key}`` (a file), ``{python}`` and ``{node}`` (a program of ROS) are replaced.
 
     Attributes:
         verb: as the table shows it.
         files: names of recordings.
         words: of ``igtl-gateway``.
         other: program and words; empty: no other program does it.
+        before: words of ``igtl-gateway`` that are not measured.
+        needs: a Python package, without which the row has no figures.
     """
 
     verb: str
-    files: str
+    files: Sequence[str]
     words: str
     other: str = ""
+    before: str = ""
+    needs: str = ""
 
 
 #: The row of the replay, which no other program has.
@@ -64,6 +78,17 @@ _JOBS = (
     Job("view -o", "AB", "view {file} -o {out}.rrd", f"{_RERUN} mcap convert {{file}} -o {{out}}.rrd"),
     Job("export --to csv", "A", "export {file} --to csv -o {out}", f"{_PYMCAP} export-csv {{file}} {{out}}"),
     Job("diff with itself", "A", "diff {file} {file}"),
+    Job("verify --reference", ("A/10", "B"), "verify {file} --reference"),
+    Job("export --to parquet", "A", "export {file} --to parquet -o {out}", needs="pyarrow"),
+    Job(
+        "merge with C",
+        "A",
+        "merge a={file} c={second} --offset c=0 -o {out}.mcap",
+        f"{_PYMCAP} merge {{file}} {{second}} -o {{out}}.mcap",
+    ),
+    Job("deidentify", "AB", "deidentify {file} -o {out}.mcap"),
+    Job("seal", "AB", "seal {file} --key {key} -o {out}.mcap", before="seal keys new {key}", needs="cryptography"),
+    Job("resim of a light node", ("A/10",), "resim {file} --runs 1 -- {python} {node}", needs="rclpy"),
 )
 
 
@@ -113,11 +138,17 @@ def about(rows: Sequence[Row]) -> list[str]:
         other = [row.get(f"other_{name}", "") for name in ("cpu_s", "wall_s", "peak_mb")]
         figures = [
             f"{row[name]:,} {unit}"
-            for name, unit in (("us_an_entry", "µs an entry"), ("sent_per_s", "a second"))
+            for name, unit in (
+                ("us_an_entry", "µs an entry"),
+                ("us_an_input", "µs an input"),
+                ("sent_per_s", "a second"),
+            )
             if name in row
         ]
         goals = ", ".join(f"{'' if met else 'not '}{goal}" for goal, met in row.get("bounds", {}).items())
-        cells = [row["stream"], row["cpu_s"], row["wall_s"], row["peak_mb"], row.get("other", ""), *other]
+        own = [row.get(name, "") for name in ("cpu_s", "wall_s", "peak_mb")]
+        cells = [f"{row['stream']}{f' ({absent} is absent)' if (absent := row.get('absent')) else ''}", *own]
+        cells += [row.get("other", ""), *other]
         cells += [row.get("cpu_ratio", ""), ", ".join(figures), goals]
         lines.append(f"| {' | '.join(map(str, cells))} |")
     return lines
@@ -136,6 +167,10 @@ class _Recording:
         return line.format(
             file=self.path,
             out=out,
+            second=self.path.with_name(f"{_SECOND}.mcap"),
+            key=out.with_name("key"),
+            python=sys.executable,
+            node=_LIGHT_NODE,
             start=f"{start_s:g}",
             end=f"{end_s:g}",
             start_ns=START_NS + round(start_s * NS_PER_S),
@@ -145,7 +180,8 @@ class _Recording:
 
 def _made(folder: Path, name: str, duration_s: float, print_status: Callable[[str], None]) -> _Recording:
     make, times = _MADE[name]
-    path, beside = folder / f"{name}.mcap", folder / f"{name}.entries"
+    plain = name.replace("/", "_")
+    path, beside = folder / f"{plain}.mcap", folder / f"{plain}.entries"
     if not beside.exists():
         print_status(f"offline: making {name}, {duration_s * times:g} s")
         beside.write_text(str(make(path, duration_s * times)), "ascii")
@@ -155,9 +191,16 @@ def _made(folder: Path, name: str, duration_s: float, print_status: Callable[[st
 def _row(job: Job, recording: _Recording, clock: Clock) -> Row:
     folder = recording.path.with_suffix(".out")
     row: Row = {"case": "offline", "stream": f"{job.verb}, {recording.name}", "entries": recording.entries}
+    if job.needs and importlib.util.find_spec(job.needs) is None:
+        return row | {"absent": job.needs}
     with _emptied(folder):
+        if job.before:
+            _spent(ours(*recording.words(job.before, folder / "ours")), clock)
         taken = _spent(ours(*recording.words(job.words, folder / "ours")), clock)
     row |= taken.row() | {"us_an_entry": round(1e6 * taken.cpu_s / recording.entries, 2)}
+    if job.verb.startswith("resim"):
+        inputs = recording.duration_s * recordings.SMALL_HZ
+        row["us_an_input"] = round(1e6 * taken.cpu_s / inputs, 1)
     if not job.other:
         return row
     program, *rest = recording.words(job.other, folder / "other")

@@ -47,7 +47,8 @@ _TIME_AT = 4  # of a stamped message in CDR
 _TRAVEL_NS = 300_000  # from a node to the gateway
 _PEER, _SECOND_PORT = "127.0.0.1:53001", 54001
 _REST_S = 120.0  # a story that takes so much longer is stuck
-_SMALL_HZ = 1_000
+#: Poses a second of `small`, in each direction.
+SMALL_HZ = 1_000
 _JOINTS = tuple(f"joint_{number}" for number in range(1, 8))
 _PIXELS, _POINTS = 256, 500
 _XYZ = tuple(PointField(name, 4 * axis, 7) for axis, name in enumerate("xyz"))
@@ -121,14 +122,14 @@ def _times(hz: float, duration_s: float, late_ns: int = 0) -> Iterator[tuple[int
 
 def _poses_in(duration_s: float) -> Iterator[ScenarioInput]:
     frame = bytearray(transform().igtl_maker("Tracker")(0))
-    for _, time_ns in _times(_SMALL_HZ, duration_s):
+    for _, time_ns in _times(SMALL_HZ, duration_s):
         _TICKS.pack_into(frame, TICKS_AT, ns_to_ticks(time_ns - _TRAVEL_NS))
         yield ScenarioInput(time_ns, Kind.IGTL_IN, bytes(frame), link=1)
 
 
 def _poses_out(duration_s: float) -> Iterator[ScenarioInput]:
     cdr = bytearray(transform().ros_maker()(0))
-    for _, time_ns in _times(_SMALL_HZ, duration_s, NS_PER_MS // 2):
+    for _, time_ns in _times(SMALL_HZ, duration_s, NS_PER_MS // 2):
         sent_ns = time_ns - _TRAVEL_NS
         _TIME.pack_into(cdr, _TIME_AT, *ns_to_ros(sent_ns))
         yield ScenarioInput(time_ns, Kind.ROS_IN, bytes(cdr), "/tool", TransformStamped.TYPE, source_ns=sent_ns)

@@ -32,6 +32,7 @@ from igtl_gateway_lab.bench.works import WORKS, WorkContext
 
 _TABLE_COUNT, _TABLE_HZ = 1000, 30.0
 _MOST_S, _MOST_HZ, _MOST_COUNT, _MOST_ROUNDS = 3600.0, 100_000.0, 10_000_000, 100
+_OFFLINE = "offline"  # without ROS, its row of resim apart
 _COMMAND_ENDS = 20  # characters of a command that the table shows at each end
 
 #: Column → field of a row and how it is shown.
@@ -71,9 +72,10 @@ def run(options: argparse.Namespace) -> int:
         for name, sweep in SWEEPS.items():
             print_line(f"{f'--sweep {name}':<15} {sweep.text}")
         return 0
-    options.programs = options.programs or _programs_here()
+    offline_only = options.case == [_OFFLINE] and not (options.sweep or options.table1)
+    options.programs = options.programs or (PYTHON if offline_only else _programs_here())
     groups, works = _selected(options)
-    if importlib.util.find_spec("rclpy") is None:
+    if not offline_only and importlib.util.find_spec("rclpy") is None:
         raise Unavailable(missing("rclpy"))
     # a measurement must neither receive from other robots nor disturb them
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -101,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json({"rows": rows, **({"fits": lines} if lines else {}), "ambient": ambient})
     else:
-        verbs = [row for row in rows if row["case"] == "offline"]
+        verbs = [row for row in rows if row["case"] == _OFFLINE]
         table = [*_table([row for row in rows if row not in verbs]), *(offline.about(verbs) if verbs else ())]
         print_line(*table, *_fitted(lines), "", *_ambient_text(ambient))
     return 0

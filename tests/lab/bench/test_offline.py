@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -43,6 +44,32 @@ def test_a_row_for_each_verb_with_what_is_absent(tmp_path: Path, monkeypatch: py
     table = offline.about([info | {"bounds": {"cpu_ratio <= 1": False}}, replay])
     assert len(table) == 4 and "not cpu_ratio <= 1" in table[2] and "a second" in table[3]
     assert not list(tmp_path.glob("*.out"))
+
+
+def test_a_row_names_the_package_that_it_lacks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(offline, "_MADE", {"A": (recordings.small, 1.0), "A/10": (recordings.small, 0.1)})
+    lacks = offline.Job("resim", ("A/10",), "resim {file}", needs="no_such_package")
+    sealed = offline.Job("seal", "A", "seal {file} --key {key} -o {out}.mcap", before="seal keys new {key}")
+    monkeypatch.setattr(offline, "_JOBS", (lacks, sealed))
+    absent, seal, _ = offline.measure(tmp_path, 0.5, SystemClock(), lambda _line: None)
+    assert absent == {"case": "offline", "stream": "resim, A/10", "entries": 206, "absent": "no_such_package"}
+    assert seal["cpu_s"] > 0
+    assert "| resim, A/10 (no_such_package is absent) |  |" in offline.about([absent, seal])[2]
+
+
+def test_each_verb_has_a_row() -> None:
+    verbs = {"resim of a light node", "export --to parquet", "merge with C", "deidentify", "seal", "verify --reference"}
+    assert verbs <= {name.rpartition(", ")[0] for name in offline.streams()}
+
+
+def test_it_needs_no_ros(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(offline, "measure", lambda *_: [{"case": "offline", "stream": "info, A", "cpu_s": 1.0}])
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert main(["bench", "--case", "offline"]) == 0
+    assert "| info, A | 1.0 |" in capsys.readouterr().out
+    assert main(["bench", "--case", "transform", "--count", "1"]) == 1
+    assert "rclpy" in capsys.readouterr().err
 
 
 def test_a_verb_that_fails_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
