@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import SimpleITK
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -80,6 +79,7 @@ def test_geometry_is_that_of_itk(
     tmp_path_factory: pytest.TempPathFactory, turn: np.ndarray, spacing: list[float], data: st.DataObject
 ) -> None:
     """Written by ITK itself; in RAS, the first two axes of LPS are negative."""
+    SimpleITK = pytest.importorskip("SimpleITK", reason="SimpleITK is the referee")  # noqa: N806
     origin = data.draw(st.lists(_numbers, min_size=3, max_size=3))
     image = SimpleITK.GetImageFromArray(np.zeros((4, 3, 2), np.int16))
     image.SetSpacing(spacing)
