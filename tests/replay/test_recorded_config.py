@@ -11,7 +11,10 @@ import pytest
 
 from igtl_gateway.base.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.config.configuration import Config, ToRosRow
+from igtl_gateway.gateway.acceptance import Acceptance
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.gateway.to_igtl.sender import ARM_UNIT
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.recorded_config import (
     absent_sources,
@@ -21,7 +24,6 @@ from igtl_gateway.replay.recorded_config import (
     recorded_units,
     units_of,
 )
-from tests.places import FIXTURES
 from tests.record import samples
 from tests.tables import table
 
@@ -129,13 +131,28 @@ def test_units_are_those_of_the_recorded_configuration(unit: str) -> None:
 def test_without_a_usable_configuration_units_are_the_usual_ones() -> None:
     for session in ({}, {"config": "["}, {"config": '{"igtl_unit": "inch"}'}):
         assert recorded_units(File(session, TOOL)).of(*KEY) == Config().igtl_unit == "mm"
-        assert recorded_acceptance(File(session)) == recorded_acceptance(File({}))
+        assert recorded_acceptance(File(session)) == Acceptance()
+
+
+def test_what_a_session_accepted_is_as_recorded() -> None:
+    assert recorded_acceptance(File(recorded(Config(check_crc=False)))) == Acceptance(check_crc=False)
 
 
 def test_streams_without_a_name_have_no_unit_yet() -> None:
     assert recorded_units(File({}, (Stream(Kind.IGTL_IN, "", ""),))).of(*KEY) == "mm"
 
 
-def test_peers_have_units_of_their_own_only_beside_arms() -> None:
-    with SessionFile.open(FIXTURES / "star.mcap") as file:
-        assert peer_units(Config(), file) == {}
+@table(
+    ("config", "units"),
+    [
+        (Config(profile="crtk"), {3: "mm"}),
+        (Config(), {}),  # without arms
+        (Config(profile="crtk", fitting=0), {}),  # before there were notes about it
+    ],
+)
+def test_peers_have_units_of_their_own_only_beside_arms(config: Config, units: dict[int, str]) -> None:
+    note = Note(Level.INFO, ARM_UNIT, "text", "", {"unit": "mm"})
+    file = File({}, (), [Entry(1, 5, Kind.NOTE, payload=(note.pack(),), links=(3,))])
+    assert peer_units(config, file) == units
+    pose = (Kind.IGTL_IN, "TRANSFORM/PSM1/measured_cp", "TRANSFORM", (3,))
+    assert units_of(config, file).of(*pose) == ("m" if not units and config.all_arms else "mm")
