@@ -196,6 +196,23 @@ def test_as_an_array_that_is_filled(updates: list[tuple[tuple[Extent, Extent], i
     assert all(bytes(image.pixels) == pixels for image, pixels in handed_out)
 
 
+@pytest.mark.parametrize(("more", "is_used"), [(-1, False), (0, True), (1, True)])
+def test_what_was_made_ahead_is_used_where_its_room_is_there(more: int, is_used: bool) -> None:
+    values = numbered((3, 2, 1))
+    assembler = VolumeAssembler()
+    assert assembler.update(part(values, (0, 0, 0), (3, 1, 1))) is None
+    last = part(values, (0, 1, 0), (3, 1, 1))
+    foreseen = assembler.foreseen(last)
+    assert foreseen and foreseen.needs > 0
+    try:
+        found = assembler.update(last, foreseen.needs + more, foreseen)
+    except ConversionError:
+        assert not is_used
+        return
+    assert (found is foreseen.whole) is is_used
+    assert found is not None and (found.array == values).all()
+
+
 def test_what_is_announced_costs_nothing_and_what_is_kept_has_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     """Found by tools/fuzz_gateway.py: a few hundred parts of a voxel each made gigabytes resident."""
     huge = Image((1024, 1024, 1024), 3, b"\1", subvol_size=(1, 1, 1))

@@ -15,9 +15,11 @@ from hypothesis import strategies as st
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.convert import frames as module
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
-from igtl_gateway.convert.frames import CYCLE, HISTORY_NS, MAX_DEPTH, TOO_DEEP, FrameTree, TfRequest
+from igtl_gateway.convert.frames import CYCLE, HISTORY_NS, MAX_DEPTH, TOO_DEEP, FrameTree, TfRequest, in_frame
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.structs import Pose
+from igtl_gateway.convert.units import LengthUnits
+from igtl_gateway.wire.tracking import QuaternionTrackingData, TrackingData
 from tests.tables import table
 
 H = math.sqrt(0.5)
@@ -422,3 +424,37 @@ def test_a_chain_of_frames_has_a_bound() -> None:
     assert len(tree.names()) > 400 > MAX_DEPTH
     tree.update(TFMessage((FrameTransform(Header(2, "f200"), "f0", at(0.0)),)), False)
     assert tree.refused[CYCLE] == 1
+
+
+@pytest.mark.parametrize("unit", ["mm", "m"])
+def test_tracking_data_in_another_frame_is_what_matrices_give(unit: str) -> None:
+    """In both forms: a matrix for each tool, or a position and a quaternion."""
+    pose = at(0.1, -0.2, 0.3, (0.5, -0.5, 0.5, 0.5))
+    tools = [at(1.0, 2.0, 3.0, (0.0, 0.0, 0.6, 0.8)), at(-4.0, 5.0, 6.0, (1.0, 0.0, 0.0, 0.0))]
+    ratio = 1000.0 if unit == "mm" else 1.0
+    lengths = LengthUnits(igtl=unit)
+    expected = []
+    for tool in tools:
+        moved = matrix(pose)
+        moved[:3, 3] *= ratio
+        expected.append(moved @ matrix(tool))
+    quaternions = np.zeros(2, QuaternionTrackingData.DTYPE)
+    matrices = np.zeros(2, TrackingData.DTYPE)
+    for row, tool in enumerate(tools):
+        quaternions[row]["position"], quaternions[row]["quaternion"] = tool[:3], tool[3:]
+        whole = matrix(tool)
+        matrices[row]["matrix"] = (*whole[:3, :3].T.reshape(-1), *whole[:3, 3])
+        quaternions[row]["name"] = matrices[row]["name"] = b"Tool"
+    found = in_frame(TrackingData(matrices), pose, lengths)
+    assert isinstance(found, TrackingData)
+    for row, whole in enumerate(expected):
+        np.testing.assert_allclose(
+            found.elements["matrix"][row], (*whole[:3, :3].T.reshape(-1), *whole[:3, 3]), atol=1e-4
+        )
+    found = in_frame(QuaternionTrackingData(quaternions), pose, lengths)
+    assert isinstance(found, QuaternionTrackingData)
+    for row, whole in enumerate(expected):
+        one = found.elements[row]
+        moved = matrix((*one["position"].tolist(), *one["quaternion"].tolist()))
+        np.testing.assert_allclose(moved, whole, atol=1e-4)
+    assert (matrices["matrix"][0][9:] == tools[0][:3]).all(), "what was given stays"

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert import robots
-from igtl_gateway.convert.common_msgs import Joy, OperatingState
+from igtl_gateway.convert.common_msgs import JointState, Joy, OperatingState
 from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.wire.ndarray import NdArray
 from igtl_gateway.wire.sensor import MAX_VALUES, Sensor
 from igtl_gateway.wire.text import String
 from tests.tables import table
@@ -44,3 +47,38 @@ def test_buttons_are_values_up_to_those_of_a_sensor() -> None:
     more = Joy(Header(7, "pad"), np.zeros(0, np.float32), np.arange(MAX_VALUES + 1, dtype=np.int32))
     with pytest.raises(ConversionError, match=f"found {MAX_VALUES + 1} buttons, expected at most {MAX_VALUES}"):
         robots.joy_to_sensor(more, ToIgtlContext())
+
+
+@table(
+    ("positions", "velocities", "efforts", "count"),
+    [
+        ([0.5], [], [], 1),
+        ([0.5], [0.25], [1.0], 1),
+        ([], [0.25], [], 1),
+        ([0.5, 0.0], [], [1.0, 2.0], 2),
+        ([0.0] * robots.MAX_JOINTS, [], [], robots.MAX_JOINTS),
+        ([], [], [], 0),
+        ([0.5], [0.25, 0.5], [], 0),
+        ([0.5, 0.0], [0.25], [], 0),
+        ([0.0] * (robots.MAX_JOINTS + 1), [], [], 0),
+    ],
+)
+def test_joints_are_an_array_and_come_back(
+    positions: list[float], velocities: list[float], efforts: list[float], count: int
+) -> None:
+    """One joint is the least; what is not known of a joint has a mark that it is not."""
+    vectors = [np.array(each, np.float64) for each in (positions, velocities, efforts)]
+    names = tuple(f"j{number}" for number in range(max(map(len, vectors))))
+    message = JointState(Header(5, "base"), names, *vectors)
+    if not count:
+        with pytest.raises(ConversionError, match=f"expected one number of joints from 1 to {robots.MAX_JOINTS:,}"):
+            robots.joints_to_array(message, ToIgtlContext())
+        return
+    found = robots.joints_to_array(message, ToIgtlContext())
+    assert isinstance(found.content, NdArray) and robots.is_joint_state(found.content)
+    assert found.content.size == (6, count)
+    assert robots.joint_names(found.metadata) == names
+    back = robots.array_to_joints(found.content, replace(TO, metadata=found.metadata))
+    assert back.name == names
+    for one, other in zip(vectors, (back.position, back.velocity, back.effort), strict=True):
+        assert one.tolist() == other.tolist()

@@ -28,8 +28,8 @@ from igtl_gateway.convert.common_msgs import (
 )
 from igtl_gateway.convert.poses import rotation_matrix
 from igtl_gateway.convert.rosmsg import Header, RosMessage, String, TransformStamped
-from igtl_gateway.gateway import LINKS_TOPIC
-from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway import LINKS_TOPIC, joint_order
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.fates import REFUSED_COMMANDS
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.replay.verify import verify
@@ -461,3 +461,30 @@ def test_a_state_whose_names_do_not_fit_its_joints_is_none(names: tuple[str, ...
     assert send(script, "move_jp", command, "SENSOR") == ["note command_unknown_state"]
     script.ros("/PSM1/measured_js", JointState(Header(script.now_ns), (), JOINTS.position))
     assert send(script, "move_jp", command, "SENSOR") == ["ros /PSM1/move_jp"]
+
+
+@pytest.mark.parametrize(
+    ("config", "times"),
+    [
+        (Config(profile="crtk", allow_in=("*/servo_jp",)), 1),
+        (Config(crtk=(ArmsRow("/PSM*"),), allow_in=("*/servo_jp",)), 1),
+        (Config(profile="crtk"), 0),
+        (Config(allow_in=("*/servo_jp",)), 0),
+    ],
+)
+def test_states_are_read_for_the_names_of_joints_only_where_peers_may_command(
+    config: Config, times: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At 1 kHz, reading each state of a robot that no peer may command is time for nothing."""
+    read: list[str] = []
+    found = joint_order.names_of_state
+
+    def names_of_state(entry: Entry) -> tuple[str, ...]:
+        read.append(entry.channel)
+        return found(entry)
+
+    monkeypatch.setattr(joint_order, "names_of_state", names_of_state)
+    script = Script(config)
+    for _ in range(3):
+        script.ros("/PSM1/measured_js", JOINTS)
+    assert read == ["/PSM1/measured_js"] * times, "the first that names them is enough"

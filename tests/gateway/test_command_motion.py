@@ -10,13 +10,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from igtl_gateway.base.stamp import NS_PER_MS, ns_to_ticks
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.arms import ArmsRow
 from igtl_gateway.convert.common_msgs import JointState, PoseStamped
+from igtl_gateway.convert.crtk import row_of
 from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.gateway.command_motion import (
+    Reach,
+    check_joint_speed,
+    check_joints_behind,
+    check_pose_behind,
+    check_pose_speed,
+    needed_ns,
+)
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.fates import REFUSED_COMMANDS
+from igtl_gateway.gateway.robot_command import Refused, RobotCommand, SetPoint
 from igtl_gateway.wire import Item, Message
 from igtl_gateway.wire.sensor import Sensor
 from igtl_gateway.wire.text import String
@@ -65,6 +75,79 @@ class Robot(Script):
 
 def _at(x: float) -> Transform:
     return Transform((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, x, 0.0, 0.0))
+
+
+# -- the edges of the limits: what is exactly at one may pass ---------------------------------------------------------
+
+#: Numbers that binary fractions have without an error, so that an edge is one.
+SPEED, BEHIND_S, WAY = 0.25, 0.5, 0.125
+ABOVE = math.nextafter(WAY, 1.0)
+LIMITED = ArmsRow("/PSM*", max_speed=SPEED, max_turn_speed=0.0, joint_speed=(SPEED,))
+STRAIGHT = (0.0, 0.0, 0.0, 1.0)
+
+
+def a_command(name: str, arms: ArmsRow = LIMITED) -> RobotCommand:
+    row = row_of(f"PSM1/{name}")
+    assert row
+    return RobotCommand(f"PSM1/{name}", row, arms, "/PSM1", T0_NS, 0, "")
+
+
+def refusal(check: Any, *arguments: Any) -> str:
+    try:
+        check(*arguments)
+    except Refused as error:
+        return error.code
+    return ""
+
+
+@table(("way", "passes"), [(0.0, True), (WAY, True), (-WAY, True), (ABOVE, False), (-ABOVE, False), (math.nan, False)])
+def test_a_way_that_is_exactly_at_its_limit_may_pass(way: float, passes: bool) -> None:
+    pose, joint = a_command("servo_cp"), a_command("servo_jp")
+    place, goal, there = (0.0, way, 0.0), (way, 0.0), SetPoint(T0_NS, 0, (0.0, 0.0))
+    here = SetPoint(T0_NS, 0, (0.0, 0.0, 0.0), STRAIGHT)
+    span_ns = round(BEHIND_S * NS_PER_S)
+    codes = [
+        refusal(check_pose_behind, pose, place, STRAIGHT, here, BEHIND_S),
+        refusal(check_joints_behind, joint, goal, there, BEHIND_S),
+        refusal(check_joints_behind, joint, goal[::-1], there, BEHIND_S),
+        refusal(check_pose_speed, pose, place, STRAIGHT, [Reach(here, span_ns, "")]),
+        refusal(check_joint_speed, joint, goal, None, [Reach(there, span_ns, "")]),
+        refusal(check_joint_speed, joint, goal[::-1], None, [Reach(there, span_ns, "")]),
+        refusal(check_joint_speed, joint, (7.0, 7.0), goal, [Reach(there, span_ns, "")]),
+    ]
+    expected = ["command_behind"] * 3 + ["command_speed"] + ["command_joint_speed"] * 3
+    assert codes == ([""] * 7 if passes else expected)
+
+
+def test_without_a_limit_no_way_is_too_long() -> None:
+    pose, here = a_command("servo_cp", ArmsRow("/PSM*", max_speed=0.0, max_turn_speed=0.0)), SetPoint(T0_NS)
+    here.values, here.rotation = (0.0, 0.0, 0.0), STRAIGHT
+    far = ((9.0, 9.0, 9.0), (1.0, 0.0, 0.0, 0.0))
+    assert refusal(check_pose_behind, pose, *far, here, BEHIND_S) == ""
+    assert refusal(check_pose_speed, pose, *far, [Reach(here, 1, "")]) == ""
+    assert needed_ns(pose, SetPoint(T0_NS, 0, *far), here) == 0
+
+
+@table(
+    ("name", "to", "needed"),
+    [
+        ("servo_cp", (0.0, 0.125, 0.0), NS_PER_S // 2),
+        ("servo_jp", (0.0, -0.25), NS_PER_S),
+        ("servo_jp", (0.125, -0.25), NS_PER_S),
+        ("servo_jp", (0.5, -0.25), 2 * NS_PER_S),
+        ("servo_jp", (0.5, 0.0, 0.0), 0),
+        ("servo_jr", (0.25, 0.0), NS_PER_S),
+        ("move_jp", (9.0, 0.0), 0),
+        ("move_cp", (9.0, 0.0, 0.0), 0),
+    ],
+)
+def test_the_time_that_a_way_needs(name: str, to: tuple[float, ...], needed: int) -> None:
+    """Of the slowest joint; nothing for a goal, whose way the robot plans, and for other joints than before."""
+    is_pose = name.endswith("cp")
+    last = SetPoint(T0_NS, 0, (0.0,) * (3 if is_pose else 2), STRAIGHT if is_pose else None)
+    point = SetPoint(T0_NS, 0, to, STRAIGHT if is_pose else None)
+    assert needed_ns(a_command(name), point, last) == needed
+    assert needed_ns(a_command(name), point, None) == 0
 
 
 # -- what a stall and a burst did -------------------------------------------------------------------------------------

@@ -164,6 +164,21 @@ def test_of_the_commands_in_a_bind_each_has_its_own_answer() -> None:
     assert again(robot) == robot.log
 
 
+@pytest.mark.parametrize("after_ns", [-5_000_000, 0, 1, 2, 3])
+def test_the_note_of_a_refusal_has_a_stamp_of_its_own_also_when_the_clock_stands(after_ns: int) -> None:
+    robot = Robot()
+    Edge(robot, {2: "command_late"})
+    assert servo(robot, 0.0, 10) == ""
+    last_ns = robot.log[-1].stamp_ns
+    at = Transform((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
+    command = Message("TRANSFORM", "PSM1/servo_cp", at, ns_to_ticks(robot.now_ns + 20 * NS_PER_MS))
+    robot.now_ns = last_ns + after_ns - NS_PER_MS
+    assert "note command_late" in robot.igtl(command)
+    stamps = [entry.stamp_ns for entry in robot.log]
+    assert stamps == sorted(set(stamps)), "strictly increasing"
+    assert [entry.seq for entry in robot.log] == list(range(1, len(stamps) + 1))
+
+
 def test_a_note_whose_message_is_not_there_refuses_no_other_one() -> None:
     """As in a part of a session that has not all of its streams."""
     robot = Robot()

@@ -273,3 +273,12 @@ def test_of_the_rest_of_a_link_what_follows_a_disconnect_is_dropped() -> None:
     assert 0 < sent < 8 and codes(outs) == [FAULT, CUT]
     assert relay.fates() == {"received": 8, "relayed": sent, "dropped": {CUT: 8 - sent}}
     assert relay.verified()
+
+
+def test_no_stream_of_a_relay_is_guarded() -> None:
+    """It forwards old data and odd stamps; a bridge looks for silences of guarded streams only."""
+    relay = Relay()
+    relay.pair(1, 2)
+    relay.igtl(HELLO, 1)
+    assert relay.gateway.guard.of(1, "STRING/Greeting", 0.0) is None
+    assert list(relay.gateway.guard.items()) == []

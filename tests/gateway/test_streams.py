@@ -48,3 +48,13 @@ def test_topics_beyond_the_limit_are_told_from_those_that_are_not_bridged() -> N
     assert streams.is_over_limit("/igtl/out/B", RosString.TYPE)
     assert not streams.is_over_limit("/igtl/out/A", RosString.TYPE)
     assert not streams.is_over_limit("/elsewhere", RosString.TYPE)
+
+
+@pytest.mark.parametrize(
+    ("igtl_type", "frame_id"),
+    [("TRANSFORM", "Base"), ("POSITION", "Base"), ("IMAGE", "patient"), ("STRING", "patient"), ("STATUS", "patient")],
+)
+def test_the_parent_in_a_name_is_the_frame_of_poses_only(igtl_type: str, frame_id: str) -> None:
+    """``ToolToBase`` of 3D Slicer is a pose in Base; a picture of that name is in the frame of the configuration."""
+    stream = Streams(Config(base_frame="patient")).to_ros(igtl_type, "ToolToBase")
+    assert stream and stream.frame_id == frame_id

@@ -19,7 +19,7 @@ from igtl_gateway.convert.common_msgs import DiagnosticArray
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.marks import MarkNote
-from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.black_box import MAX_PER_MINUTE, BlackBox
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
@@ -462,3 +462,29 @@ def test_no_trigger_is_lost_silently() -> None:
 @pytest.mark.slow
 def test_no_trigger_is_lost_silently_with_kills() -> None:
     _silent(60, ("kill bridge", "kill recorder"))
+
+
+@pytest.mark.parametrize("inputs", [0, 40])
+def test_a_file_begins_with_an_input_also_where_an_output_triggers(inputs: int, tmp_path: Path) -> None:
+    """An output would have no cause there; without any input, the file begins with what there is."""
+    found, _ = _memory(tmp_path, "guard,before=0,after=1", [])
+    kept = list(found._entries)[:inputs]
+    found._entries = Looks(kept)
+    last = next((entry.seq for entry in reversed(kept) if entry.kind.is_input), 500)
+    stamp_ns = kept[-1].stamp_ns + 5 if kept else samples.START_NS
+    note = Note(Level.WARN, "stale", "old", "TRANSFORM/a")
+    found.write(Entry(500, stamp_ns, Kind.NOTE, payload=(note.pack(),)))
+    assert found._window and found._window.first == last
+    found.close({})
+
+
+def test_a_file_whose_time_is_over_lacks_nothing_also_where_the_rest_is_not_recorded(tmp_path: Path) -> None:
+    """The numbers go on with entries of streams that are left out: the recording has not ended."""
+    found, _ = _memory(tmp_path, "mark=slip,before=1,after=1", [])
+    notes: list[Note] = []
+    found._on_note = notes.append
+    last = found._entries[-1]
+    found.write(Entry(last.seq + 1, last.stamp_ns + 1, Kind.EDGE_NOTE, payload=(MarkNote("slip").note().pack(),)))
+    message = samples.igtl_bytes("TRANSFORM", "Left", 1, bytes(48))
+    found.saw(Entry(last.seq + 2, last.stamp_ns + 100 * NS, Kind.IGTL_IN, "TRANSFORM/Left", "TRANSFORM", (message,)))
+    assert [note.code for note in notes] == [TRIGGERED, SAVED]

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -25,11 +25,15 @@ from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
-from igtl_gateway.record.parts import MAX_PER_MINUTE
+from igtl_gateway.record.parts import MAX_PER_MINUTE, PartsWriter
+from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.reports import RecordingSummary
 from igtl_gateway.record.selection import StateInputRule
+from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.schemas import RosTypes
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.replay.verify import DeclaredLosses, verify
 from tests.record import samples
 from tests.record.notes import TimelessNotes
@@ -341,3 +345,45 @@ def test_names_of_coming_parts_that_are_taken_leave_no_gap(path: Path, kind: str
     with SessionFile.open(summary.path) as whole:
         assert list(whole.entries()) == [samples.flat(entry) for entry in entries]
         assert not whole.missing_parts
+
+
+def written_by_hand(path: Path, **options: Any) -> PartsWriter:
+    def open_part(place: Path, facts: dict[str, str], prologue: Sequence[Entry]) -> SessionWriter:
+        words = samples.SESSION | facts
+        return SessionWriter(
+            place, words, qos_of=lambda _topic, _type: None, prologue=prologue, types=RosTypes(), overwrite=True
+        )
+
+    return PartsWriter(path, open_part, Prologue(RULE), max_bytes=0, max_s=1.0, counters=dict, **options)
+
+
+@pytest.mark.parametrize("waits", [True, False])
+def test_the_recording_before_stays_until_the_new_one_begins_and_is_gone_then(path: Path, waits: bool) -> None:
+    record(path, session(4), split_s=1.0)
+    folder = path.with_suffix("")
+    before = {file.name for file in folder.iterdir()}
+    assert len(before) > 4
+    parts = written_by_hand(path, overwrite=True, waits=waits)
+    if waits:
+        assert {file.name for file in folder.iterdir()} == before and parts.present is None
+        assert parts.begin() == folder / "long_1.mcap"
+    name = "long_1.mcap" if waits else "long_0.mcap"
+    assert {file.name for file in folder.iterdir() if file.suffix == ".mcap"} == {name}
+    entries = session(1)[:10]
+    for entry in entries:
+        parts.write(entry)
+    parts.close({})
+    with SessionFile.open(folder) as whole:
+        assert list(whole.entries()) == [samples.flat(entry) for entry in entries]
+
+
+def test_the_ledger_of_a_folder_is_that_of_its_last_part(path: Path) -> None:
+    """Those before it state that the recording goes on."""
+    summary = record(path, session(3), split_s=1.0)
+    *others, last = [each for each in summary.files if each.suffix == ".mcap"]
+    for each in others:
+        with SessionFile.open(each) as file:
+            assert file.ledger and file.ledger[layout.GOES_ON_KEY] is True
+    with SessionFile.open(last) as file, SessionFile.open(path.with_suffix("")) as whole:
+        assert file.ledger and layout.GOES_ON_KEY not in file.ledger
+        assert (whole.ledger, whole.recorded_ledger) == (file.ledger, file.recorded_ledger)

@@ -12,6 +12,7 @@ import re
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -625,3 +626,32 @@ def _alternate(pair: Pair, native: Native, steps: list[tuple[str, int, int]]) ->
     get()
     assert pair.getter.refused == lost
     assert pair.putter.waiting == (0, 0)
+
+
+def test_what_lies_before_the_end_of_the_ring_goes_back_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last stretch of memory, which is left when the writer begins again at the front."""
+    shrink(monkeypatch)
+    monkeypatch.setattr(shared_queue, "_FREE_BYTES", 1 << 20)
+    monkeypatch.setattr(shared_queue, "_ENOUGH_BYTES", 1 << 20)
+    pair = Pair(max_bytes=100_000, largest=10_000)
+    advice: list[tuple[int, int]] = []
+    reader = pair.getter
+    memory = SimpleNamespace(madvise=lambda _advice, start, length: advice.append((start, start + length)))
+    monkeypatch.setattr(reader, "_map", memory)
+    stretches: list[tuple[int, int]] = []
+    seq = 0
+    while not stretches:
+        waiting = 0
+        while waiting < 6:
+            seq += 1
+            assert pair.putter.put(replace(samples.igtl(seq), payload=(bytes(4000),)))
+            waiting += 1
+        for _ in range(waiting):
+            before = reader._place
+            assert isinstance(reader.get(), Entry)
+            if reader._place < before:  # it went on at the front
+                stretches.append((reader._gone[0][0], before))
+            reader.done()
+    (begin, end) = stretches[0]
+    assert any(start <= begin + 2 * mmap.PAGESIZE and end - mmap.PAGESIZE <= stop for start, stop in advice), advice
+    os.close(pair.memory)

@@ -214,3 +214,38 @@ def test_losses_are_codes_of_notes() -> None:
     assert len(LOSSES) == 10
     for code in LOSSES:
         assert Triggers((trigger("loss"),), RosTypes()).look(_note(code)), code
+
+
+@table(
+    ("rule", "entry"),
+    [
+        ("note=bad_crc", _note("bad_crc")),
+        ("guard", _note("stale", Kind.NOTE)),
+        ("loss", _note("queue_drop")),
+        ("diagnostics", _diagnostics(2)),
+        ("status", _status(13)),
+        ("operating_state", _state("FAULT")),
+        (VALUE, _force(6)),
+        ("mark=slip", _note("mark", label="slip")),
+    ],
+)
+def test_a_trigger_is_of_the_moment_of_its_entry(rule: str, entry: Entry) -> None:
+    (cause,) = Triggers((trigger(rule),), RosTypes()).look(entry)
+    assert (cause.at_ns, cause.noted_ns) == (entry.stamp_ns, entry.stamp_ns)
+
+
+def test_a_mark_of_the_past_is_of_its_own_moment() -> None:
+    (cause,) = Triggers((trigger("mark=slip"),), RosTypes()).look(_note("mark", label="slip", ago_ns=5))
+    assert (cause.at_ns, cause.noted_ns) == (2, 7)
+
+
+def test_of_ten_thousand_conditions_each_is_followed_and_no_further_one() -> None:
+    """A condition that is followed triggers once while it holds; one beyond the bound with each message."""
+    triggers = Triggers((trigger("diagnostics"),), RosTypes())
+
+    def causes(first: int, count: int) -> int:
+        statuses = tuple(DiagnosticStatus(2, f"motor {number}", "hot") for number in range(first, first + count))
+        cdr = DiagnosticArray(Header(), statuses).pack()
+        return len(triggers.look(_ros("/diagnostics", DiagnosticArray.TYPE, cdr)))
+
+    assert [causes(0, 10_000), causes(9_999, 1), causes(10_000, 1), causes(10_000, 1)] == [10_000, 0, 1, 1]

@@ -12,6 +12,7 @@ from dataclasses import replace
 from itertools import count
 from multiprocessing import Pipe
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -21,7 +22,8 @@ from igtl_gateway.base.clock import Clock, ManualClock, SystemClock
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Note
-from igtl_gateway.record import host, shared_queue
+from igtl_gateway.record import host, shared_queue, worker
+from igtl_gateway.record.failures import Failures
 from igtl_gateway.record.host import WorkerHost, in_process, in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
@@ -332,3 +334,29 @@ def test_the_bridge_raises_one_that_gets_no_processor(tmp_path: Path) -> None:
     finally:
         child.send_signal(signal.SIGCONT)
     assert recorder.close({}).entries == 199
+
+
+@pytest.mark.parametrize(
+    ("waiting", "again_in_ns", "expected"),
+    [
+        ([], 0, ["again"]),
+        ([], -1, ["again"]),
+        ([], 1, []),
+        ([], None, []),
+        (["snapshot"], 0, ["snapshot", "again"]),
+        (["again"], 0, ["again"]),
+        (["again", "stop"], 0, ["again", "stop"]),
+    ],
+)
+def test_a_disk_is_tried_again_once_at_its_time(
+    waiting: list[str], again_in_ns: int | None, expected: list[str]
+) -> None:
+    """Whatever else was asked for meanwhile: each attempt is one more file."""
+    found = object.__new__(worker._RecorderWorker)
+    now_ns = 5_000_000_000
+    found._requests = [(command, 0, 1) for command in waiting]
+    found._clock, found._failures = ManualClock(), Failures()
+    found._failures.again_ns = None if again_in_ns is None else now_ns + again_in_ns
+    found._space = SimpleNamespace(is_due=lambda _now_ns: False)  # type: ignore[assignment]
+    found._look_at_disk(now_ns)
+    assert [command for command, _, _ in found._requests] == expected

@@ -25,8 +25,10 @@ from igtl_gateway.replay.compare import EXACT, Delta, LeafDecoder, Tolerance, Un
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.image import Image as IgtlImage
+from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.text import String as IgtlString
 from igtl_gateway.wire.tracking import TRACKING_DTYPE, TrackingData
+from igtl_gateway.wire.trajectory import Trajectories
 from igtl_gateway.wire.transform import Position, Transform
 from tests.places import FIXTURES
 
@@ -167,6 +169,59 @@ def test_openigtlink_images_differ_in_pixels_and_place() -> None:
     coarse = (2.0, *one.wire_matrix[1:])
     delta = compared(igtl(one, "IMAGE"), igtl(replace(one, wire_matrix=coarse), "IMAGE"), Tolerance(1.0, 1.0))
     assert delta.field == "content.spacing[0]"
+
+
+@pytest.mark.parametrize("turn", [0, 1, 2])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_the_pixels_of_each_axis_have_a_length_whatever_way_it_points(axis: int, turn: int) -> None:
+    matrix = [0.0] * 12
+    for column in range(3):
+        matrix[3 * column + (column + turn) % 3] = 1.5
+    longer = [*matrix]
+    longer[3 * axis + (axis + turn) % 3] = 1.75
+    one = IgtlImage((2, 2, 1), 3, bytes(4))
+    delta = compared(
+        igtl(replace(one, wire_matrix=tuple(matrix)), "IMAGE"),
+        igtl(replace(one, wire_matrix=tuple(longer)), "IMAGE"),
+        Tolerance(1e-6, 1e-6),
+    )
+    assert (delta.field, delta.one, delta.other) == (f"content.spacing[{axis}]", 1.5, 1.75)
+
+
+@pytest.mark.parametrize("row", [0, 1, 2])
+def test_landmarks_and_trajectories_differ_in_millimetres(row: int) -> None:
+    rows = np.arange(9.0).reshape(3, 3)
+    far = rows.copy()
+    far[row] += (3.0, 4.0, 0.0)
+    delta = compared(igtl(Points.of(rows), "POINT"), igtl(Points.of(far), "POINT"), Tolerance(4.9))
+    assert (delta.field, delta.mm) == (f"content.elements[{row}].position", 5.0)
+    assert compared(igtl(Points.of(rows), "POINT"), igtl(Points.of(far), "POINT"), Tolerance(5.1)).field == ""
+    ways = [np.zeros(3, Trajectories.DTYPE) for _ in range(3)]
+    ways[1]["entry"][row], ways[2]["target"][row] = (0.0, 3.0, 4.0), (6.0, 0.0, 8.0)
+    for way, name, mm in ((ways[1], "entry", 5.0), (ways[2], "target", 10.0)):
+        delta = compared(igtl(Trajectories(ways[0]), "TRAJ"), igtl(Trajectories(way), "TRAJ"))
+        assert (delta.field, delta.mm) == (f"content.elements[{row}].{name}", mm)
+
+
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (2, -3, 6)])
+@pytest.mark.parametrize("degrees", [0.5, 30.0, 120.0])
+@pytest.mark.parametrize("start", [UNIT, (0.5, -0.5, 0.5, 0.5), (0.6, 0.0, 0.8, 0.0)])
+def test_rotations_differ_by_their_angle_about_any_axis(
+    axis: tuple[int, int, int], degrees: float, start: tuple[float, float, float, float]
+) -> None:
+    half, length = math.radians(degrees) / 2, math.hypot(*axis)
+    x, y, z, w = start
+    a, b, c = (math.sin(half) * each / length for each in axis)
+    d = math.cos(half)
+    turned = (
+        *(d * x + a * w + b * z - c * y, d * y - a * z + b * w + c * x),
+        *(d * z + a * y - b * x + c * w, d * w - a * x - b * y - c * z),
+    )
+    one, other = (ros(PoseStamped(HEADER, (1.0, 2.0, 3.0, *each))) for each in (start, turned))
+    delta = compared(one, other)
+    assert delta.deg == pytest.approx(degrees, rel=1e-6) and delta.mm == 0
+    one, other = (igtl(Position((1.0, 2.0, 3.0), each), "POSITION") for each in (start, turned))
+    assert compared(one, other).deg == pytest.approx(degrees, rel=1e-4)
 
 
 def cloud(points: np.ndarray[tuple[int, int], np.dtype[np.float32]], first: str = "x") -> PointCloud2:

@@ -8,11 +8,16 @@ from functools import cache
 
 import pytest
 
+from igtl_gateway.base.buffers import join
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.rosmsg import TransformStamped
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import EXACT, LeafDecoder, Tolerance
 from igtl_gateway.replay.diff import WINDOW, DiffInput, DiffReport, StreamDiff, diff
+from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.transform import Transform
 from tests.places import FIXTURES
 from tests.record import samples
 
@@ -211,3 +216,20 @@ def test_of_equal_deviations_the_first_is_named() -> None:
     told = stream(compared(of(), of(2, 4), tolerance=Tolerance(mm=1000, deg=100)), TOOL)
     assert (told.mm, told.mm_at, told.deg_at, told.within) == (250.0, 3, 3, 2)
     assert told.deg == pytest.approx(73.74, abs=0.01)
+
+
+@pytest.mark.parametrize(("one", "other"), [("mm", "m"), ("m", "mm"), ("m", "m")])
+def test_each_recording_has_its_own_units(one: str, other: str) -> None:
+    """A program that sends metres and one that sends millimetres say the same."""
+
+    def side(unit: str) -> DiffInput:
+        by = 1.0 if unit == "mm" else 0.001
+        entries = []
+        for number in range(1, 6):
+            matrix = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 10.0 * number * by, 20.0 * by, 30.0 * by)
+            data = join(encode(Message("TRANSFORM", "Tool", Transform(matrix))))
+            entries.append(Entry(number, number * 10**9, Kind.IGTL_IN, "TRANSFORM/Tool", "TRANSFORM", (data,), (1,)))
+        return DiffInput(entries, LeafDecoder({}, StreamUnits(Config(igtl_unit=unit))))
+
+    (found,) = diff(side(one), side(other), tolerance=Tolerance(mm=0.01)).streams
+    assert found.equal and found.mm < 0.01 and (found.messages, found.other_messages) == (5, 5)

@@ -12,13 +12,14 @@ import pytest
 import igtl_gateway
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli import main
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.marks import BEGIN, END, Mark, MarkNote, OpenPhases
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.selection import StateInputRule
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.recovery import recover
 from igtl_gateway.record.sessionfile.writer import SessionWriter
-from igtl_gateway.replay.recorded_marks import find_mark, marked_moment, marks_of
+from igtl_gateway.replay.recorded_marks import carry_marks, find_mark, marked_moment, marks_of
 from igtl_gateway.replay.slice import Slice
 from igtl_gateway.replay.slice_state import SliceWindow
 from igtl_gateway.replay.verify import verify
@@ -38,6 +39,22 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _marks(path: Path) -> tuple[Mark, ...]:
     with SessionFile.open(path) as file:
         return marks_of(file)
+
+
+def test_a_phase_that_began_before_a_part_ends_in_it(tmp_path: Path) -> None:
+    """Its begin is in the prologue, which comes before what was noted in the part."""
+    prologue = Prologue(StateInputRule(frozenset()))
+    for number, mark in enumerate((MarkNote("a", "why", "me", BEGIN), MarkNote("b", "", "me", BEGIN)), 1):
+        prologue.observe(Entry(number, number * S, Kind.EDGE_NOTE, payload=(mark.note().pack(),)))
+    writer = SessionWriter(tmp_path / "a.mcap", {}, prologue=prologue.entries())
+    for number, mark in enumerate((MarkNote("a", "how", "me", END), MarkNote("a", "again", "me", BEGIN)), 11):
+        writer.write(Entry(number, number * S, Kind.EDGE_NOTE, payload=(mark.note().pack(),)))
+    writer.close({})
+    assert _marks(tmp_path / "a.mcap") == (
+        Mark("a", "why; how", "me", 1 * S, 11 * S),
+        Mark("b", "", "me", 2 * S, 12 * S, is_open=True),
+        Mark("a", "again", "me", 12 * S, 12 * S, is_open=True),
+    )
 
 
 @table(
@@ -160,3 +177,27 @@ def test_what_is_recovered_has_its_marks(recording: Path, tmp_path: Path) -> Non
     assert {(mark.label, mark.time_ns) for mark in _marks(tmp_path / "new.mcap")} <= whole
     with igtl_gateway.open(cut) as opened:
         assert opened.marks == _marks(tmp_path / "new.mcap")
+
+
+@pytest.mark.parametrize("only_within", [None, True, False])
+def test_marks_of_another_time_are_carried_only_where_that_is_asked_for(
+    only_within: bool | None, recording: Path, tmp_path: Path
+) -> None:
+    """A slice has those of its window; what has all entries in another order has all of them."""
+    out = tmp_path / "out.mcap"
+    out.write_bytes(recording.read_bytes())
+    with SessionFile.open(out) as file:
+        start_ns, end_ns = file.start_ns, file.end_ns
+    added = [
+        Mark("before", "", "me", start_ns - 2 * S, None, is_added=True),
+        Mark("ended before", "", "me", start_ns - 2 * S, start_ns - 1, is_added=True),
+        Mark("into", "", "me", start_ns - 2 * S, start_ns, is_added=True),
+        Mark("within", "", "me", start_ns + S, None, is_added=True),
+        Mark("last", "", "me", end_ns, end_ns + S, is_added=True),
+        Mark("behind", "", "me", end_ns + 1, None, is_added=True),
+    ]
+    more = {} if only_within is None else {"only_within": only_within}
+    carry_marks(out, added, **more)
+    found = {mark.label for mark in _marks(out)} - set(LABELS)
+    inside = {"into", "within", "last"}
+    assert found >= inside and (found == inside) is (only_within is not False)

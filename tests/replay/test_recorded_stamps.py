@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -14,6 +15,7 @@ from igtl_gateway.convert.common_msgs import FrameTransform, PoseStamped, TFMess
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.gateway.log.corrections import CORRECTIONS, StampCorrection
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.bulk import block_of
 from igtl_gateway.replay.recorded_stamps import RecordedStamps
 from tests.tables import table
 
@@ -104,6 +106,22 @@ def test_which_messages_move(kind: Kind, channel: str, ros_type: str, moves: boo
     new = found.entry(entry)
     assert replace(new, payload=entry.payload) == entry, "its bytes alone"
     assert PoseStamped.unpack(new.data()).header.stamp_ns == T0 - LAG_NS * moves
+
+
+@pytest.mark.parametrize("kind", [Kind.ROS_IN, Kind.ROS_OUT, Kind.IGTL_IN])
+def test_a_block_of_messages_moves_as_each_of_them(kind: Kind) -> None:
+    found = stamps_of(correction("/pose", PoseStamped.TYPE))
+    entries = [
+        Entry(seq, T0 + seq, kind, "/pose", PoseStamped.TYPE, (PoseStamped(Header(T0 + seq, "base"), POSE).pack(),))
+        for seq in range(1, 5)
+    ]
+    channel: Any = SimpleNamespace(kind=kind, stream="/pose", type=PoseStamped.TYPE)
+    block = found.block(channel, block_of(entries))
+    assert [bytes(block.payload(row)) for row in range(4)] == [found.entry(entry).data() for entry in entries]
+    moved = PoseStamped.unpack(block.payload(0)).header.stamp_ns != T0 + 1
+    assert moved is (kind is Kind.ROS_IN)
+    none = RecordedStamps(File({}))
+    assert none.block(channel, block) is block
 
 
 def test_without_corrections_nothing_is_looked_at() -> None:

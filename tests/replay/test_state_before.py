@@ -26,8 +26,10 @@ from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import StateInputRule
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.with_state import SessionWithState
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.replay.shared_names import shared_names
-from igtl_gateway.replay.state_before import LASTING, latched_before, notes_before, with_state, without_state
+from igtl_gateway.replay.source import _ANY_LINK
+from igtl_gateway.replay.state_before import LASTING, _before, latched_before, notes_before, with_state, without_state
 from igtl_gateway.testing.gateway import ManualGateway
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.text import Status
@@ -183,3 +185,20 @@ def test_each_note_of_names_and_changes_is_lasting() -> None:
     """A new one is, unless it is about one message."""
     about = {**NOTES["Names"], **NOTES["Messages that are changed or not converted"]}
     assert about.keys() - LASTING == {"stream", "listened"} and about.keys() >= LASTING
+
+
+@pytest.mark.parametrize("links", [(), (1,), (1, 2)])
+def test_what_a_prologue_sends_goes_to_the_peers_that_it_has(links: tuple[int, ...], tmp_path: Path) -> None:
+    """Without any, to one that reads header version 1: a viewer shows what would be sent."""
+    gateway = ManualGateway()
+    for _ in links:
+        gateway.connect()
+    gateway.from_ros("/igtl/out/Plan", rosmsg.String("text"))
+    writer = SessionWriter(tmp_path / "a.mcap", {})
+    for entry in gateway.log:
+        if entry.kind.is_input:
+            writer.write(entry)
+    writer.close({})
+    with SessionFile.open(tmp_path / "a.mcap") as before:
+        sent = [entry.links for entry in _before(before, Config()) if entry.kind is Kind.IGTL_OUT]
+    assert sent == [links or (_ANY_LINK,)]

@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
@@ -28,7 +29,7 @@ from igtl_gateway.gateway.log.groups import input_groups
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
-from igtl_gateway.replay.verify import MAX_KEPT, UNKNOWN, DeclaredLosses, VerifyReport, compare, verify
+from igtl_gateway.replay.verify import MAX_KEPT, UNKNOWN, DeclaredLosses, Difference, VerifyReport, compare, verify
 from igtl_gateway_lab.simulate.catalogue import SCENARIOS
 from igtl_gateway_lab.simulate.scenario import Scenario
 from tests.files import write_anew
@@ -400,6 +401,17 @@ def test_a_declared_loss_of_a_stream_is_used_once(entries: list[Entry]) -> None:
     assert (report.lost, report.differing) == (1, 1)
 
 
+def test_losses_of_several_streams_are_no_more_than_all_that_were_declared(entries: list[Entry]) -> None:
+    channels = list(dict.fromkeys(entry.channel for entry in entries if entry.kind is Kind.ROS_OUT))[:2]
+    cut = entries
+    for channel in channels:
+        cut, _ = without(cut, partial(is_out, channel=channel))
+    by_stream = dict.fromkeys(channels, 1)
+    for declared in (2, 1, 0):
+        report = verify(cut, SCENARIO.config, DeclaredLosses(declared, by_stream))
+        assert (report.lost, report.differing) == (declared, 2 - declared)
+
+
 def test_a_part_may_begin_behind_one_lost_input(entries: list[Entry]) -> None:
     """Its first outputs are those of an input that the recorder lost; without a declared loss they are of nothing."""
     begin = next(at for at in range(20, len(entries)) if not entries[at].kind.is_input)
@@ -409,3 +421,14 @@ def test_a_part_may_begin_behind_one_lost_input(entries: list[Entry]) -> None:
     report = verify(part, SCENARIO.config, DeclaredLosses(1, {"(others)": 1}, midway=True), before=entries[:1])
     assert report.orphans == len(part) and report.good
     assert not verify(part, SCENARIO.config, DeclaredLosses(midway=True), before=entries[:1]).good
+
+
+def test_of_many_differences_each_stream_has_its_first_and_no_list_grows_beyond_its_bound() -> None:
+    report = VerifyReport()
+    for number in range(2 * MAX_KEPT):
+        for stream in (f"A{number}", "B"):
+            report.add(Difference(number, number, stream, "field", "one", "other"))
+    assert report.differing == 4 * MAX_KEPT and not report.good
+    assert len(report.differences) == len(report.firsts) == MAX_KEPT
+    assert report.firsts["B"].seq == 0, "the first, not the last"
+    assert report.by_stream["B"] == 2 * MAX_KEPT and len(report.by_stream) == 2 * MAX_KEPT + 1

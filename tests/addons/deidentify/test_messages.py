@@ -192,6 +192,9 @@ ROWS = {
     "STRING, replaced": Row("STRING", String.of(NAME), lambda: String.of("new"), {"text": 1}, _REPLACE_TEXT),
     "CLIENTINFO": Row("CLIENTINFO", ClientInfo.of(NAME), lambda: ClientInfo.of(""), {"text": 1}),
     "STATUS": Row("STATUS", Status(13, 5, NAME, f"about {NAME}"), lambda: Status(13, 5, "", ""), {"text": 2}),
+    "STATUS, kept as long as it may be": Row(
+        "STATUS", Status(13, 5, "n" * 20, "why"), lambda: Status(13, 5, "n" * 20, "why"), {}, _KEEP_TEXT
+    ),
     "STATUS, kept": Row("STATUS", Status(13, 5, NAME, "why"), lambda: Status(13, 5, NAME, "why"), {}, _KEEP_TEXT),
     "COMMAND": Row(
         "COMMAND", Command.of(9, NAME, f"<{NAME}/>"), lambda: Command.of(9, name_of(NAME), ""), {"text": 1, "name": 1}

@@ -8,16 +8,27 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 
 from igtl_gateway.addons.deidentify.profile import BASIC, Profile, TextRule
 from igtl_gateway.addons.deidentify.pseudonyms import Pseudonyms
-from igtl_gateway.addons.deidentify.session import DEIDENTIFIED, deidentify
+from igtl_gateway.addons.deidentify.session import DEIDENTIFIED, DERIVED_FROM, deidentify
+from igtl_gateway.addons.merge.merging import Source, merge
+from igtl_gateway.addons.merge.offsets import ClockOffset, Piece
 from igtl_gateway.app.verification import verify_recording
+from igtl_gateway.base.errors import UnsupportedRecording
 from igtl_gateway.cli import main
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.convert.names import short_device_name
+from igtl_gateway.convert.rosmsg import String
 from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.record.sessionfile.merged import Method
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.replay.recorded_marks import marks_of
-from igtl_gateway.wire import decode
+from igtl_gateway.testing.gateway import ManualGateway
+from igtl_gateway.wire import Message, Raw, decode
+from igtl_gateway.wire.text import Status
 from igtl_gateway.wire.transform import Transform
 from tests import marked
 from tests.addons.deidentify.planted import MARK, SOURCE, found, planted_session
@@ -112,6 +123,79 @@ def test_the_command_refuses_what_it_cannot_do(tmp_path: Path, capsys: pytest.Ca
         assert main(["deidentify", *call]) == code, call
         assert said in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["damaged.mcap", "short.key"]
+
+
+def test_only_a_session_is_deidentified(tmp_path: Path) -> None:
+    """Not what another program wrote, and not several sessions at once."""
+    foreign, merged, out = tmp_path / "bag.mcap", tmp_path / "merged.mcap", tmp_path / "out.mcap"
+    with foreign.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2", "another program")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        channel = writer.register_channel("/chatter", "cdr", schema)
+        writer.add_message(channel, 1, b"\0\1\0\0\2\0\0\0a\0", 1)
+        writer.finish()  # type: ignore[no-untyped-call]
+    with pytest.raises(UnsupportedRecording, match=r"bag.mcap: found an MCAP file of another program, expected a ses"):
+        deidentify(foreign, out, BASIC, KEY)
+    sources = [Source("", SOURCE), Source("two", SOURCE.with_name("acquisition.mcap"))]
+    merge(sources, merged, given={"two": ClockOffset(Method.GIVEN, (Piece(0, 0),))})
+    with pytest.raises(UnsupportedRecording, match=r"found a merged session, expected one of its parts, such as .*mer"):
+        deidentify(merged, out, BASIC, KEY)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bag.mcap", "merged.mcap"]
+
+
+def test_a_name_that_is_too_long_for_a_device_is_one_name_in_both_forms(tmp_path: Path) -> None:
+    """A topic has all of it, a device its beginning and a hash: whoever has both has to find them joined."""
+    gateway, long = ManualGateway(), "OperatingMicroscopeOfTheatre"
+    short = short_device_name(long)
+    gateway.connect()
+    gateway.from_ros(f"/igtl/out/{long}", String("text"))
+    gateway.from_peer(Message("STATUS", short, Status(1)))
+    writer = SessionWriter(tmp_path / "a.mcap", {"config": json.dumps(Config().to_dict())})
+    for entry in gateway.log:
+        writer.write(entry)
+    writer.close({})
+    deidentify(tmp_path / "a.mcap", tmp_path / "b.mcap", BASIC, KEY)
+    with SessionFile.open(tmp_path / "b.mcap") as file:
+        channels = {entry.channel for entry in file.entries() if entry.kind in (Kind.ROS_IN, Kind.IGTL_IN)}
+    new = Pseudonyms(KEY).name(long)
+    assert channels == {f"/igtl/out/{new}", f"STATUS/{new}"} and new != long
+
+
+def test_removed_messages_are_counted_by_their_new_streams(tmp_path: Path) -> None:
+    gateway = ManualGateway()
+    gateway.connect()
+    for number in range(3):
+        gateway.from_peer(Message("SECRET", "Anna", Raw(b"text %d" % number)))
+    gateway.from_peer(Message("STATUS", "Anna", Status(1)))
+    writer = SessionWriter(tmp_path / "a.mcap", {"config": json.dumps(Config().to_dict())})
+    for entry in gateway.log:
+        writer.write(entry)
+    writer.close({})
+    report = deidentify(tmp_path / "a.mcap", tmp_path / "b.mcap", BASIC, KEY)
+    new = Pseudonyms(KEY).name("Anna")
+    assert report.removed == {f"(unknown type)/{new}": 3}, "the type may be any text"
+    assert report.to_dict()["removed"] == {f"(unknown type)/{new}": 3} and report.rules["type"] == 3
+    assert len(inputs(tmp_path / "b.mcap")) == len(inputs(tmp_path / "a.mcap")) - 3 + 1
+
+
+@pytest.mark.parametrize("state", ["unsealed", "sealed", "changed"])
+def test_what_is_made_of_a_sealed_recording_names_its_seal(state: str, tmp_path: Path) -> None:
+    pytest.importorskip("cryptography")
+    source, key = tmp_path / "a.mcap", tmp_path / "a.key"
+    if state == "unsealed":
+        source.write_bytes(SOURCE.read_bytes())
+    else:
+        assert main(["keys", "new", str(key)]) == 0
+        assert main(["seal", str(SOURCE), "--key", str(key), "-o", str(source)]) == 0
+    if state == "changed":
+        data = bytearray(source.read_bytes())
+        data[data.index(b"igtl-gateway ") + 13] ^= 1  # the version of the program, which no other checksum covers
+        source.write_bytes(data)
+    report = deidentify(source, tmp_path / "b.mcap", BASIC, KEY)
+    with SessionFile.open(tmp_path / "b.mcap") as file:
+        assert (DERIVED_FROM in file.session) is (state == "sealed")
+    assert ("seal" in report.left) is (state == "changed")
 
 
 def test_marks_have_pseudonyms_and_the_text_that_the_profile_leaves(tmp_path: Path) -> None:

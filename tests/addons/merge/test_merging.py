@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -13,13 +14,16 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 import igtl_gateway
+from igtl_gateway.addons.merge import merging
+from igtl_gateway.addons.merge.clock_graph import Clock
 from igtl_gateway.addons.merge.merging import Source, merge
-from igtl_gateway.addons.merge.offsets import ClockOffset, Piece
+from igtl_gateway.addons.merge.offsets import ClockOffset, Contradiction, Piece
 from igtl_gateway.app.verification import verify_parts
 from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError, UnsupportedRecording
 from igtl_gateway.convert.common_msgs import FrameTransform, PoseStamped, TFMessage
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.marks import Mark
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.sessionfile import merged
 from igtl_gateway.record.sessionfile.merged import Digest, Method
@@ -30,6 +34,7 @@ from tests.replay.test_state_before import parts
 from tests.tables import table
 from tools.evidence.merge_worlds import World, judge, record
 
+START_NS = 1_700_000_000 * 10**9
 WORLD = World(seconds=4)
 AHEAD = {"r1": ClockOffset(Method.GIVEN, (Piece(0, 1_700_000_000),))}
 
@@ -128,6 +133,11 @@ def test_numbers_of_a_part_in_several_attachments(tmp_path: Path, monkeypatch: p
     merge(recordings.sources, out, given={})
     for source in recordings.sources:
         assert _content(out / source.name) == _content(source.path)
+    with out.open("rb") as stream:
+        names = [each.name for each in make_reader(stream).iter_attachments()]
+    for part in ("r0", "r1"):
+        found = [name for name in names if name.startswith(merged.NUMBERS_OF.format(part))]
+        assert len(found) > 2 and found == [f"numbers/{part}/{number}" for number in range(len(found))]
 
 
 def test_warnings_of_a_part_have_a_bound(tmp_path: Path) -> None:
@@ -168,6 +178,44 @@ def test_merged_sessions_are_merged_again(tmp_path: Path) -> None:
     assert [(part["name"], part["clock"]["offset_s"]) for part in again["parts"]] == [
         ("x_r0", 0.0), ("x_r1", 1.7), ("crtk", 1.7),
     ]  # fmt: skip
+
+
+@table(
+    ("low_s", "high_s", "interval_ns"),
+    [(1.5, 2.5, (5e8, 5e8)), (2.0, 2.0, (0.0, 0.0)), (None, 2.25, (math.inf, 2.5e8)), (1.75, None, (2.5e8, math.inf))],
+)
+@table("steps", [1, 2, 3])
+def test_a_clock_that_a_merged_session_states_is_as_wide_as_it_states(
+    low_s: float | None, high_s: float | None, interval_ns: tuple[float, float], steps: int
+) -> None:
+    """However many steps lead to it: merging again makes no clock wider."""
+    chain = [[[START_NS, 10**9 // steps, 0.0]] for _ in range(steps)]
+    part = {"name": "b", "clock": {"chain": chain, "offset_s": 2.0, "low_s": low_s, "high_s": high_s}}
+    clock = merging._recorded_clock(part, Path("a"))
+    assert clock.interval_ns == interval_ns
+    assert len(clock.chain) == steps and clock.method is Method.GIVEN
+
+
+@table(
+    ("facts", "words"),
+    [
+        ({}, "part b: found a clock without 'chain'"),
+        ({"chain": [[[0, 0, 0.0]]]}, "part b: found a clock without 'low_s'"),
+        ({"chain": [[]], "offset_s": 2.0, "low_s": 1.0, "high_s": 3.0}, "found a clock without offset, expected one"),
+    ],
+)
+def test_a_clock_that_lacks_something_is_damage(facts: dict[str, Any], words: str) -> None:
+    with pytest.raises(DamagedRecording, match=words):
+        merging._recorded_clock({"name": "b", "clock": facts}, Path("a"))
+
+
+@pytest.mark.parametrize("end_s", [None, 0, 3])
+def test_a_mark_moves_with_its_clock_and_a_moment_stays_one(end_s: int | None) -> None:
+    clock = Clock((ClockOffset(Method.GIVEN, (Piece(START_NS, 1_700_000_000),)),))
+    end_ns = None if end_s is None else START_NS + end_s * 10**9
+    found = merging._moved(Mark("a", "text", "who", START_NS, end_ns), clock)
+    assert (found.label, found.text, found.who, found.time_ns) == ("a", "text", "who", START_NS - 1_700_000_000)
+    assert found.end_ns == (None if end_ns is None else end_ns - 1_700_000_000)
 
 
 def test_an_empty_recording(tmp_path: Path) -> None:
@@ -248,6 +296,19 @@ def test_refusals(tmp_path: Path) -> None:
         with pytest.raises(error, match=text):
             merge(sources, target, given=given)
         assert not target.exists()
+
+
+def test_a_contradiction_names_both_parts_and_the_way_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recordings = record(WORLD, tmp_path, 1)
+
+    def measure(*_: object) -> ClockOffset:
+        raise Contradiction("found messages that no clock explains")
+
+    monkeypatch.setattr(merging, "measure_offset", measure)
+    with pytest.raises(GatewayError, match=r"^r0, r1: found messages that .*; state the offset: --offset r1=SECONDS$"):
+        merge(recordings.sources, tmp_path / "out.mcap", given={})
+    assert not (tmp_path / "out.mcap").exists()
+    assert merge(recordings.sources, tmp_path / "out.mcap", given=AHEAD)["messages"] > 0, "nothing is measured"
 
 
 def test_a_changed_part_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -77,6 +77,13 @@ def test_a_piece_applies_from_its_start_on(since: int, expected: int) -> None:
     assert PIECES.of(np.array([START_NS + since], np.int64)).tolist() == [expected]
 
 
+def test_an_offset_without_bounds_is_exact_and_does_not_drift() -> None:
+    found = ClockOffset(Method.GIVEN, (Piece(START_NS, 7),))
+    assert (found.low_ns, found.high_ns, found.error_ns, found.is_drifting) == (0.0, 0.0, 0.0, False)
+    assert math.isnan(found.low_ppm) and math.isnan(found.high_ppm)
+    assert [found.at(START_NS + at) for at in (-(10**9), 0, 10**9)] == [7, 7, 7]
+
+
 def test_what_an_offset_states_of_itself() -> None:
     assert (PIECES.error_ns, PIECES.is_drifting) == (4.0, True)
     assert not ClockOffset(Method.GIVEN, (Piece(0, 5), Piece(7, 9))).is_drifting

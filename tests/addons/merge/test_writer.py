@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import heapq
 import json
 import math
 import random
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from io import BufferedWriter
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +17,11 @@ import numpy as np
 import pytest
 from mcap.records import Channel, Schema
 
-from igtl_gateway.addons.merge import merging
+from igtl_gateway.addons.merge import merging, writer
 from igtl_gateway.addons.merge.clock_graph import Clock
 from igtl_gateway.addons.merge.offsets import ClockOffset, Piece
 from igtl_gateway.addons.merge.writer import MergedPart, write_merged
-from igtl_gateway.base.errors import GatewayError
+from igtl_gateway.base.errors import GatewayError, RecordingError
 from igtl_gateway.base.version import __version__
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.sessionfile import chunk_rows, layout, merged, stream
@@ -210,3 +212,27 @@ def test_what_passes_in_columns_is_what_passes_by_entries(seed: int, tmp_path: P
 
 def numbered(entries: Sequence[Entry]) -> list[Entry]:
     return [replace(entry, seq=number) for number, entry in enumerate(entries, 1)]
+
+
+@pytest.mark.parametrize("step", ["_write", "_facts"])
+def test_a_disk_that_is_full_is_named_and_leaves_no_file_open(
+    step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[BufferedWriter] = []
+
+    def create(path: Path) -> BufferedWriter:
+        made.append(create_file(path))
+        return made[-1]
+
+    def full(*_: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(writer, "create_file", create)
+    monkeypatch.setattr(writer, step, full)
+    parts = [] if step == "_write" else [None]
+    if step == "_facts":
+        monkeypatch.setattr(writer, "_write", lambda *_: 0)
+    with pytest.raises(RecordingError, match=r"cannot write .*out.mcap: .*No space left on device"):
+        write_merged(tmp_path / "out.mcap", parts, {})  # type: ignore[arg-type]
+    (file,) = made
+    assert file.raw.closed

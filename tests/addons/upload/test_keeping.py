@@ -5,8 +5,10 @@ from __future__ import annotations
 import io
 import json
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,6 +18,7 @@ from igtl_gateway.addons.upload.live import BridgeUploads
 from igtl_gateway.addons.upload.place import UploadPlace
 from igtl_gateway.addons.upload.settings import KEEPING as OPTIONS
 from igtl_gateway.addons.upload.settings import SETTINGS
+from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.gateway.log.note import Level, Note
 from tests.addons.upload.store import Store, running_store
 from tests.record import samples
@@ -80,6 +83,46 @@ def test_it_waits_for_a_store_that_answers_again(store: Store, folder: Path) -> 
 
     store.fault = fault
     assert keeping.upload(folder, values()) == 0 and len(store.objects) == 2
+
+
+@pytest.mark.parametrize(
+    ("steps", "taken"),
+    [
+        ([(1, "slow"), (2, "slow"), (3, "slow"), (4, "slow")], 5),
+        ([(1, "slow"), (1, "slow"), (2, "slow"), (2, "slow")], 5),
+        ([(1, "slow"), (1, "slow"), (1, "slow"), (2, "slow")], 3),
+        ([(0, "slow"), (0, "slow"), (0, "slow"), (0, "slow")], 2),
+        ([(1, "slow"), (1, ""), (2, "slow"), (2, "slow")], 2),
+    ],
+)
+def test_patience_begins_again_with_each_confirmed_file(
+    steps: list[tuple[int, str]], taken: int, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """40 s a step, and 60 s of patience: a store that is slow is not one that does not work."""
+    clock, done = ManualClock(), list[int]()
+
+    class Slow:
+        def __init__(self, *_: object) -> None:
+            self.counts = SimpleNamespace(confirmed=0, problem="", sent_bytes=0)
+
+        def step(self) -> bool:
+            clock.advance(40 * 10**9)
+            done.append(1)
+            if len(done) > len(steps):
+                return True
+            self.counts.confirmed, self.counts.problem = steps[len(done) - 1]
+            return False
+
+        def waiting(self) -> list[object]:
+            return []
+
+        def close(self) -> None:
+            """Nothing."""
+
+    monkeypatch.setattr(keeping, "Uploader", Slow)
+    monkeypatch.setattr(keeping, "SystemClock", lambda: clock)
+    assert keeping.upload(folder, values()) == 0
+    assert len(done) == taken
 
 
 def test_what_cannot_be_uploaded_is_not_waited_for(
@@ -210,6 +253,32 @@ def test_a_process_that_ends_too_early_is_started_again(
     assert begun == ["True", "False", "False"], "only the first one begins"
     assert [note.text for note in notes].count("upload: its process ended, and is started again") == 3
     found.stop()
+
+
+class Waits(threading.Event):
+    """Notes for how long was waited, and does not wait."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.waited: list[float | None] = []
+
+    def wait(self, timeout: float | None = None) -> bool:
+        self.waited.append(timeout)
+        return self.is_set()
+
+
+def test_before_each_further_start_is_a_pause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process that ends at once would otherwise be started as fast as the machine can."""
+    found, _ = uploads(monkeypatch, tmp_path, COUNTS, "")
+    found._thread.join()
+    monkeypatch.setattr(live, "_AGAIN_S", 7.0)
+    found._stop = Waits()
+    found._supervise()
+    assert found._stop.waited == [7.0, 7.0, 7.0]
+    found.stop()
+    found._stop.waited.clear()
+    found._supervise()
+    assert found._stop.waited == [], "the end of the bridge is not waited for"
 
 
 def test_a_process_that_cannot_be_started_is_a_note(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

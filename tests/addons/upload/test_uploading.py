@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import random
 import signal
@@ -20,10 +21,11 @@ from igtl_gateway.addons.upload.uploading import Uploader
 from igtl_gateway.base.clock import ManualClock, SystemClock
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.config.notations import retention
-from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.retention.retention import Retention
 from igtl_gateway.record.retention.upload_state import UploadProtection, UploadState, belongs
 from tests.addons.upload.store import Store, running_store
+from tests.places import ROOT
 from tests.record import samples
 from tests.record.test_parts import record, session
 
@@ -109,6 +111,51 @@ def test_every_recording_is_uploaded_once(store: Store, folder: Path) -> None:
     assert upload(folder)[1] == [] and store.received == count, "nor after the state is lost"
 
 
+@pytest.mark.parametrize(("parts", "more"), [(1, 0), (1, 1), (2, 0), (2, 1), (3, 0), (3, 1)])
+def test_an_object_of_few_parts_has_the_tag_of_its_parts(
+    parts: int, more: int, store: Store, models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One part that is as large as a part may be is sent as a whole, one byte more in two."""
+    data = (models / "large.mcap").read_bytes()
+    monkeypatch.setattr(uploading, "PART_BYTES", -(-len(data) // parts) + more)
+    assert -(-len(data) // uploading.PART_BYTES) == parts
+    (tmp_path / "large.mcap").write_bytes(data)
+    notes, left = upload(tmp_path)
+    assert not left and is_complete(store, tmp_path) and {note.code for note in notes} == {"upload_confirmed"}
+
+
+@pytest.mark.parametrize(("status", "code"), [(412, "PreconditionFailed"), (404, "NoSuchUpload")])
+@pytest.mark.parametrize("is_there", [True, False])
+def test_where_an_object_was_made_meanwhile_no_part_is_left(
+    status: int, code: str, is_there: bool, store: Store, folder: Path
+) -> None:
+    """Parts without an object cost money for ever; the answer to an upload that was made before may be lost."""
+    answers = 0
+
+    def fault(method: str, path: str, query: dict[str, str]) -> tuple[int, dict[str, str], bytes] | None:
+        nonlocal answers
+        if method != "POST" or sorted(query) != ["uploadId"] or answers:
+            return None
+        answers += 1
+        if is_there:
+            data = (folder / "large.mcap").read_bytes()
+            parts = [data[at : at + 10_000] for at in range(0, len(data), 10_000)]
+            tags = b"".join(hashlib.md5(part, usedforsecurity=False).digest() for part in parts)
+            tag = f'"{hashlib.md5(tags, usedforsecurity=False).hexdigest()}-{len(parts)}"'
+            meta = {"etag": tag, "x-amz-meta-sha256": hashlib.sha256(data).hexdigest()}
+            store.objects[path.removeprefix("/bucket/")] = data, meta
+        return status, {}, f"<Error><Code>{code}</Code></Error>".encode()
+
+    store.fault = fault
+    notes, left = upload(folder)
+    assert answers == 1 and not left and is_complete(store, folder)
+    assert store.uploads == {}, "no parts without an object"
+    codes = {note.code for note in notes}
+    assert "upload_confirmed" in codes
+    if is_there and status == 404:
+        assert codes == {"upload_confirmed"}, "what is there is looked at, without an attempt more"
+
+
 def test_random_faults_of_the_store_end_in_equal_objects(store: Store, folder: Path) -> None:
     chance = random.Random(7)
     answers = [
@@ -143,6 +190,25 @@ def test_an_interrupted_upload_sends_only_what_is_missing(store: Store, folder: 
     assert sent == [str(number) for number in range(5, parts + 1)]
 
 
+@pytest.mark.parametrize(("status", "goes_on"), [(404, True), (403, False)])
+def test_parts_that_the_store_has_forgotten_are_sent_again(
+    status: int, goes_on: bool, store: Store, folder: Path
+) -> None:
+    """A store removes old parts; that it does not let us look is another matter, which is reported."""
+    store.fault = lambda _method, _path, query: (500, {}, b"") if query.get("partNumber") == "5" else None
+    upload(folder, attempts=2)
+    store.uploads.clear()
+    store.requests.clear()
+    store.fault = lambda method, _path, query: (
+        (status, {}, b"<Error><Code>NoSuchUpload</Code></Error>") if method == "GET" and "uploadId" in query else None
+    )
+    notes, left = upload(folder, attempts=3)
+    assert (left == []) is goes_on and is_complete(store, folder) is goes_on
+    numbers = [query["partNumber"] for _, path, query in store.requests if "partNumber" in query and "large" in path]
+    assert (numbers[:2] == ["1", "2"]) if goes_on else numbers == []
+    assert ("upload_waits" in {note.code for note in notes}) is not goes_on
+
+
 def _denied(_method: str, _path: str, _query: dict[str, str]) -> tuple[int, dict[str, str], bytes]:
     return 403, {}, b"<Error><Code>AccessDenied</Code></Error>"
 
@@ -158,6 +224,36 @@ def test_a_store_that_refuses_is_reported_once(
     store.fault = fault
     notes, left = upload(folder, attempts=5)
     assert len(left) == 6 and len(notes) == 1 and words in notes[0].text and SECRET not in notes[0].text
+    assert (notes[0].level, notes[0].code) == (Level.WARN, "upload_waits")
+    assert notes[0].text.startswith("upload waits: ") and notes[0].text.endswith("; the files stay here")
+
+
+def test_a_step_counts_each_file_and_ends_with_the_last(store: Store, folder: Path) -> None:
+    uploader = Uploader(folder, None, PLACE, 0.0, SystemClock(), lambda note: waiting.append(uploader.counts.waiting))
+    waiting: list[int] = []
+    assert uploader.step(), "nothing waits any more"
+    assert waiting == [6, 5, 4, 3, 2, 1]
+    assert (uploader.counts.waiting, uploader.counts.waiting_bytes, uploader.counts.confirmed) == (0, 0, 6)
+    uploader.close()
+
+
+@pytest.mark.parametrize("base", ["a", None])
+def test_a_recording_is_stated_before_it_has_a_file(base: str | None, store: Store, tmp_path: Path) -> None:
+    """So the retention does not delete its first part before it was looked at; ``keep`` begins none."""
+    uploader = Uploader(tmp_path, base, PLACE, 0.0, SystemClock(), lambda _note: None)
+    uploader.begin()
+    uploader.close()
+    assert [path.name for path in tmp_path.iterdir()] == (["a.uploads.jsonl"] if base else [])
+    if base:
+        state = UploadState(tmp_path, base)
+        assert state.place == str(PLACE) and store.requests == []
+
+
+def test_a_part_has_the_size_that_the_documents_state() -> None:
+    """S3 takes 5 MiB to 5 GiB, and 10,000 parts."""
+    assert uploading.PART_BYTES == 8 * 1024 * 1024
+    text = (ROOT / "docs" / "how-to" / "keeping.md").read_text()
+    assert "Files above 8 MiB go in parts" in text
 
 
 def test_the_first_problem_of_the_store_ends_a_step(store: Store, folder: Path) -> None:
@@ -186,6 +282,35 @@ def test_another_object_is_never_replaced(store: Store, folder: Path) -> None:
     notes, left = upload(folder)
     assert left == ["small.mcap"] and store.objects["or1/small.mcap"][0] == b"of another program"
     assert any("another object with this key" in note.text for note in notes)
+
+
+def test_a_small_file_that_changed_after_it_was_closed_is_not_sent(store: Store, folder: Path) -> None:
+    store.fault = lambda method, path, _query: (500, {}, b"") if method == "PUT" and "small" in path else None
+    upload(folder, attempts=2)
+    store.fault = lambda _method, _path, _query: None
+    path = folder / "small.mcap"
+    found, data = path.stat(), bytearray(path.read_bytes())
+    data[len(data) // 4] ^= 1
+    path.write_bytes(data)
+    os.utime(path, ns=(found.st_mtime_ns, found.st_mtime_ns))  # so that only its bytes show it
+    notes, left = upload(folder)
+    assert left == ["small.mcap"] and "or1/small.mcap" not in store.objects
+    assert any("found other bytes than when it was closed (SHA-256)" in note.text for note in notes)
+
+
+def test_while_it_waits_a_step_states_whether_a_file_does(
+    store: Store, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(uploading, "_FIRST_WAIT_S", 1_000.0)
+    monkeypatch.setattr(uploading, "_LAST_WAIT_S", 1_000.0)
+    store.fault = _denied
+    uploader = Uploader(folder, None, PLACE, 0.0, SystemClock(), lambda _note: None)
+    assert [uploader.step(), uploader.step()] == [False, False]
+    for path in folder.rglob("*.mcap"):
+        path.unlink()
+    asked = len(store.requests)
+    assert uploader.step() is True and len(store.requests) == asked == 1
+    uploader.close()
 
 
 def test_a_file_that_changed_after_it_was_closed_is_not_confirmed(store: Store, folder: Path) -> None:

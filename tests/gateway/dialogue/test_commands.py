@@ -141,6 +141,16 @@ def test_ids_are_reused_only_when_free_and_their_number_is_bounded() -> None:
     assert len(book.on_link_down(1)) == MAX_PENDING - 4 and not len(book)
 
 
+def test_a_reply_is_for_the_command_of_its_peer_or_the_first_with_its_id() -> None:
+    book = PendingCommands()
+    first, second, other = (PendingCommand(link, number, "D", "N", 9) for link, number in ((2, 7), (3, 7), (3, 8)))
+    assert all(map(book.add, (first, second, other)))
+    assert not book.add(PendingCommand(3, 7, "D", "N", 9)), "it waits already"
+    assert book.take(7, 1) is None
+    assert [book.take(7, 3), book.take(7, 3)] == [second, None]
+    assert [book.take(7), book.take(7), book.take(8)] == [first, None, other], "without a link: of any"
+
+
 TOO_MUCH = (MetadataItem("key", 0, "x" * 100_000),)
 
 

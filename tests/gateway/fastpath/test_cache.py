@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -14,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.config.configuration import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import express, poses, rosmsg
@@ -929,3 +931,119 @@ def test_of_peers_that_invent_names_few_are_compiled() -> None:
     assert 0 < (made := len(compiled)) <= cache.MOST_AT_ONCE
     send(cache.MOST_AT_ONCE + 10, 2)
     assert len(compiled) == made + 1, "a stream has a second message"
+
+
+# -- what is compiled again, prepared, and given to the native passage -------------------------------------------------
+
+TOPIC = "/igtl/out/T"
+
+
+def peer_up(session: Session, link: int) -> None:
+    note = Note(Level.INFO, LINK_UP, "", data={"peer": f"127.0.0.1:{link}", "role": "server"})
+    session.input(T0_NS, Kind.LINK, (note.pack(),), links=(link,))
+
+
+def send_ros(session: Session, cdr: bytes, type_name: str, times: int = 1) -> None:
+    for _ in range(times):
+        session.input(T0_NS, Kind.ROS_IN, (cdr,), channel=TOPIC, type_name=type_name)
+
+
+@compiled
+@pytest.mark.parametrize(("size", "stays"), [(32 << 10, True), ((32 << 10) + 4, False)])
+def test_a_stream_of_small_messages_is_compiled_again_at_once_when_a_peer_comes(size: int, stays: bool) -> None:
+    """From its last message, which is kept if it has 32 KiB at most; a larger one waits for its next message."""
+    session, general = watched_session()
+    cdr = rosmsg.String("x" * (size - 9)).pack()
+    assert len(cdr) == size
+    send_ros(session, cdr, rosmsg.String.TYPE, 2)
+    assert general.count(Kind.ROS_IN) == 1
+    peer_up(session, 2)
+    send_ros(session, cdr, rosmsg.String.TYPE, 2)
+    assert general.count(Kind.ROS_IN) == (1 if stays else 2)
+
+
+@compiled
+@pytest.mark.parametrize(
+    ("pixels", "is_prepared"), [(100, False), ((64 << 10) - 1_000, False), ((64 << 10) + 1_000, True)]
+)
+def test_only_a_large_message_of_a_compiled_stream_is_prepared(pixels: int, is_prepared: bool) -> None:
+    """What takes microseconds is done under the lock; without a compiled stream the full path is prepared."""
+    session, _ = watched_session()
+    data = join(encode(Message("IMAGE", "Probe", Image((pixels // 2, 2, 1), 3, bytes(pixels)), ns_to_ticks(T0_NS))))
+    picture = rosmsg.Image(rosmsg.Header(T0_NS, "map"), 1, pixels, "mono8", 0, pixels, bytes(pixels))
+    for _ in range(3):
+        session.input(T0_NS, Kind.IGTL_IN, (data,), links=(1,))
+    send_ros(session, picture.pack(), picture.TYPE, 2)
+    found = (
+        session.prepare(Kind.IGTL_IN, data, "", "", (1,), 0),
+        session.prepare(Kind.ROS_IN, picture.pack(), TOPIC, picture.TYPE, (), 0),
+    )
+    assert isinstance(found[0], tuple) is is_prepared
+    assert is_prepared or found == (None, None)
+
+
+class Copies:
+    """The native passage as the fast path sees it: notes what it is given."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[Any, ...]] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *arguments: self.calls.append((name, *arguments))
+
+    def of(self, name: str) -> list[tuple[Any, ...]]:
+        found = [arguments for call, *arguments in self.calls if call == name]
+        self.calls = [each for each in self.calls if each[0] != name]
+        return [tuple(each) for each in found]
+
+
+def test_the_native_passage_gets_the_stream_that_was_compiled_again() -> None:
+    session, _ = watched_session()
+    copies = Copies()
+    fast = session.gateway.fast_path  # type: ignore[attr-defined]
+    fast.native = copies
+    send_ros(session, TOOL.pack(), TOOL.TYPE, 2)
+    key = (TOPIC, TOOL.TYPE)
+    assert copies.of("handled") == [(key, before := fast.to_igtl[key])]
+    peer_up(session, 2)
+    after = fast.to_igtl[key]
+    assert after is not before and copies.of("replace") == [(key, after)]
+    assert sum(links for _, links, _ in after.outputs) == 2
+    send_ros(session, TOOL.pack(), TOOL.TYPE)
+    assert copies.of("handled") == [(key, after)]
+    send_ros(session, replace(TOOL, child_frame_id="other").pack(), TOOL.TYPE)
+    assert copies.of("drop") == [(key,)], "it does not fit"
+
+
+@compiled
+@pytest.mark.parametrize(
+    "message",
+    [
+        rosmsg.PointCloud2(rosmsg.Header(T0_NS, "ma"), 1, 2, fields("x", "y", "z"), False, 12, 24, bytes(24), True),
+        rosmsg.PointCloud2(rosmsg.Header(T0_NS, "world"), 2, 2, fields("z", "x", "y"), False, 16, 32, bytes(64), False),
+        rosmsg.Image(rosmsg.Header(T0_NS, "ma"), 2, 2, "mono8", 0, 2, bytes(4)),
+        rosmsg.Image(rosmsg.Header(T0_NS, "world"), 2, 2, "mono16", 0, 4, bytes(8)),
+        rosmsg.Marker(rosmsg.Header(T0_NS, "ma"), "s", 1, rosmsg.Marker.TRIANGLE_LIST, points=ROWS[:3]),
+    ],
+    ids=["cloud", "another cloud", "picture", "another picture", "marker"],
+)
+def test_bytes_between_the_fields_may_have_any_content_and_the_fields_may_not(message: Any) -> None:
+    """ROS leaves its padding undefined: a stream must not leave the fast path for it; all else is the full path's."""
+    cdr, kind = message.pack(), type(message)
+    begin = 12  # after encapsulation and stamp
+    end = len(cdr) - len(join((getattr(message, "data", None) or ROWS[:3].tobytes(),)))
+    session, general = watched_session()
+    send_ros(session, cdr, kind.TYPE, 2)
+    paddings, steps = 0, list[Step]()
+    for at in range(begin, end):
+        changed = bytearray(cdr)
+        changed[at] ^= 0x41
+        steps += [("ros", TOPIC, kind.TYPE, data, T0_NS) for data in (cdr, cdr, bytes(changed))]
+        with suppress(ConversionError):
+            if kind.unpack(bytes(changed)).pack() == cdr:
+                paddings += 1
+                send_ros(session, bytes(changed), kind.TYPE)
+                assert general.count(Kind.ROS_IN) == 1, f"byte {at} is padding"
+    assert paddings
+    for some in (steps[number : number + 60] for number in range(0, len(steps), 60)):
+        assert played(some, Config(), None, fast_path=True) == played(some, Config(), None, fast_path=False)

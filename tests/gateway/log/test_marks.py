@@ -182,3 +182,27 @@ def test_it_is_a_note_for_programs_that_do_not_know_marks() -> None:
         "stream": "",
         "text": "mark a begins: b",
     }
+
+
+@table(
+    ("kind", "note", "is_one"),
+    [
+        (Kind.EDGE_NOTE, MarkNote("a", phase=BEGIN).note(), True),
+        (Kind.EDGE_NOTE, MarkNote("a", phase=END).note(), True),
+        (Kind.EDGE_NOTE, MarkNote("a").note(), False),
+        (Kind.EDGE_NOTE, Note(Level.INFO, "tick", "mark"), False),
+        (Kind.NOTE, MarkNote("a", phase=BEGIN).note(), False),
+        (Kind.LINK, MarkNote("a", phase=BEGIN).note(), False),
+        (Kind.IGTL_IN, MarkNote("a", phase=BEGIN).note(), False),
+    ],
+)
+def test_which_entries_begin_or_end_a_phase(kind: Kind, note: Note, is_one: bool) -> None:
+    assert is_phase(Entry(1, 1, kind, payload=(note.pack(),))) is is_one
+
+
+def test_a_phase_without_an_end_is_open_and_none_is_added_here() -> None:
+    rows = [mark.to_dict(100) for mark in _joined((110, MarkNote("a", phase=BEGIN)), (120, MarkNote("b")))]
+    assert [(row["label"], row["open"], row["added"], row["end_s"]) for row in rows] == [
+        ("a", True, False, 1e-7),
+        ("b", False, False, None),
+    ]

@@ -13,12 +13,16 @@ from tests.tables import table
 GOOD = {"level": "WARN", "code": "bad_crc", "text": "a fact", "stream": "IMAGE/probe", "data": {}}
 
 
+#: Every digit; also the other case.
+HEX = "0123456789abcdefABCDEF"
+
+
 def packed(**changes: Any) -> bytes:
     return json.dumps(GOOD | changes).encode()
 
 
 def test_a_note_comes_back() -> None:
-    note = Note(Level.ERROR, "a", "b", "c", {"peer": "x", "dropped": {"a": 1}, "head": "00ff", "other": [1, None]})
+    note = Note(Level.ERROR, "a", "b", "c", {"peer": "x", "dropped": {"a": 1}, "head": HEX, "other": [1, None]})
     assert Note.unpack(note.pack()) == Note.of(note.pack()) == note
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 
@@ -228,3 +229,17 @@ def test_a_live_session_that_forgets_is_verified(monkeypatch: pytest.MonkeyPatch
             refused = sum(one.get("dropped", {}).get("no_base", 0) for one in streams.values())
         assert refused >= 2
     check_recording(path, config, here.bridge.losses)
+
+
+@pytest.mark.parametrize("name", ["GET_TRANS", "GET_POSITION", "GET_QTRANS"])
+def test_a_message_that_cannot_be_converted_is_no_answer(name: str) -> None:
+    """It was reported when it came; the query is answered, with the reason that there is none."""
+    script = Script()
+    script.up(1)
+    broken = rosmsg.TransformStamped(Header(1, "base"), "tool", (0.1, 0.2, 0.3), (math.nan, 0.0, 0.0, 1.0))
+    assert script.ros("/igtl/out/Tool", broken) == ["note conversion"]
+    lines = script.igtl(Message(name, "Tool", EmptyQuery()))
+    assert "note query_unanswered" in lines and "note internal_error" not in lines
+    whole = rosmsg.TransformStamped(Header(1, "base"), "tool", (0.1, 0.2, 0.3), (0.0, 0.0, 0.0, 1.0))
+    script.ros("/igtl/out/Tool", whole)
+    assert "note query_unanswered" not in script.igtl(Message(name, "Tool", EmptyQuery()))

@@ -214,6 +214,24 @@ def test_files_that_change_or_are_locked_stay(folder: Path, monkeypatch: pytest.
     assert (folder / "old.mcap").read_bytes() == b"another file"
 
 
+def test_what_stays_leaves_no_file_open(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pass each minute for weeks: a descriptor a pass would end the recorder."""
+    search = RecordingFolder.search
+
+    def changed(self: RecordingFolder) -> StoredFiles:
+        found = search(self)
+        for each in found.closed:
+            os.utime(each.path)
+        return found
+
+    monkeypatch.setattr(RecordingFolder, "search", changed)
+    kept = Retention(folder, retention("12 h"), ManualClock(NOW_NS))
+    kept.apply()
+    before = set(os.listdir("/proc/self/fd"))
+    assert "it has just changed" in {each.kept for each in kept.apply().kept}
+    assert set(os.listdir("/proc/self/fd")) == before
+
+
 def test_without_a_log_nothing_is_deleted(folder: Path) -> None:
     (folder / LOG_NAME).mkdir()
     report = Retention(folder, retention("1 h"), ManualClock(NOW_NS)).apply()

@@ -123,3 +123,16 @@ def test_a_block_of_entries_has_their_payloads() -> None:
     block = block_of(entries()[:3])
     assert [bytes(block.payload(index)) for index in range(3)] == [each.data() for each in entries()[:3]]
     assert [bytes(block.where(slice(1, 2)).payload(0))] == [entries()[1].data()]
+
+
+@pytest.mark.parametrize("name", ["star", "every-type", "lego"])
+def test_each_channel_is_found_by_its_own_index(name: str) -> None:
+    """Whatever was read before: a seek too few would send all but the first channel the slow way."""
+    with SessionFile.open(FIXTURES / f"{name}.mcap") as file:
+        counts = file._index.counts
+        for number in sorted(counts, reverse=True):
+            blocks = list(file._chunks.blocks([number], 0, 1 << 62, whole=True, is_wire=False))
+            assert sum(map(len, blocks)) == counts[number]
+            first, last = file._chunks.span([number])
+            times = np.concatenate([block.times for block in blocks])
+            assert (first, last) == (int(times.min()), int(times.max()))

@@ -16,7 +16,7 @@ from igtl_gateway.base.errors import DamagedRecording, GatewayError
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile import chunks, layout, order
 from igtl_gateway.record.sessionfile import columns as columns_module
-from igtl_gateway.record.sessionfile.columns import EntryColumns, Stream, Unfit, WireHead
+from igtl_gateway.record.sessionfile.columns import END_NS, EntryColumns, Stream, Unfit, WireHead
 from igtl_gateway.record.sessionfile.copying import CopyWriter
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
@@ -249,3 +249,22 @@ def test_a_file_of_an_older_version_is_not_read_in_columns(monkeypatch: pytest.M
         monkeypatch.setattr(file, "format_version", 0)
         with pytest.raises(Unfit):
             file.columns()
+
+
+def test_from_a_time_on_or_up_to_one_is_not_a_file_that_lacks_messages(tmp_path: Path) -> None:
+    """Only what has all messages has as many as the index counts."""
+    _written(tmp_path / "a.mcap", samples.every_kind(20), chunk_bytes=500)
+    with SessionFile.open(tmp_path / "a.mcap") as file:
+        times = [entry.stamp_ns for entry in file.entries()]
+        middle = times[len(times) // 2]
+
+        def count(start_ns: int, end_ns: int) -> int:
+            return sum(len(columns) for columns in file.columns(start_ns, end_ns))
+
+        before = sum(time < middle for time in times)
+        assert [count(0, END_NS), count(0, middle), count(middle, END_NS)] == [len(times), before, len(times) - before]
+        assert [count(times[0], times[-1] + 1), count(times[-1], END_NS), count(0, times[0])] == [len(times), 1, 0]
+        file._index.counts[max(file._index.counts)] += 1
+        assert count(middle, END_NS) == len(times) - before
+        with pytest.raises(DamagedRecording, match=f"{len(times) + 1}"):
+            count(0, END_NS)

@@ -29,3 +29,12 @@ def test_work_is_bounded_by_the_limit_of_time() -> None:
         check_work(1000, work_of([chunk] * 3), "a")
         with pytest.raises(LimitExceeded, match="a: found 5368709120 bytes unpacked"):
             check_work(1000, work_of([chunk] * 10), "a")
+
+
+@pytest.mark.parametrize(("size", "seconds"), [(0, 20), (999_999, 20), (1_000_000, 21), (5_500_000, 25)])
+def test_the_bound_of_the_work_is_a_hundred_megabytes_a_second(size: int, seconds: int) -> None:
+    """Of the limit, and of what each whole megabyte of the file adds to it."""
+    with limits.limits_in_force(limits.FileLimits(seconds=20, seconds_per_mb=1)):
+        check_work(size, seconds * 100_000_000, "a")
+        with pytest.raises(LimitExceeded, match=f"expected at most {seconds}00000000 bytes"):
+            check_work(size, seconds * 100_000_000 + 1, "a")

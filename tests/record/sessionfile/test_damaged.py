@@ -121,3 +121,20 @@ def test_a_record_whose_length_and_fields_are_nonsense_is_not_taken_for_one_that
     for kept in range(1, 8):  # bytes of the head
         data = whole[: at + kept] + b"\xfa" * (60 - kept) + whole[at + 60 :]
         assert end - at > 60 and chunks_in(data) == others, kept
+
+
+@pytest.mark.parametrize("bit", [0, 3, 7])
+def test_a_second_header_is_a_record_like_others(bit: int) -> None:
+    """Files that were put together have one: the record before it, whose length is damaged, keeps its end."""
+    data = bag(
+        Chunk((*DEFINITIONS, *messages(5, 6))),
+        (build.METADATA, build.metadata("m", {"a": "b"})),
+        (build.HEADER, build.header("ros2", "another")),
+        Chunk(messages(7, 9)),
+    ).data
+    sound = spans(data)
+    at = next(number for number, span in enumerate(sound) if number and span.opcode == records.HEADER)
+    for place in range(sound[at - 1].at + 1, sound[at - 1].at + HEAD.size):
+        damaged = bytearray(data)
+        damaged[place] ^= 1 << bit
+        assert sound[at - 1 : at + 2] == spans(bytes(damaged))[at - 1 : at + 2], place

@@ -73,6 +73,11 @@ def test_what_happened(names: str, number: int, what: str, chunk: int, text: str
     assert 0 <= found.begin < found.end
 
 
+def test_a_unit_without_entries_has_no_numbers() -> None:
+    found = first(b"".join((BEGIN[:-1] + b"x", *RECORDS.values())), 0)
+    assert (found.kind, found.first_entry, found.last_entry) == ("header", -1, -1)
+
+
 @table("size, number, text", [(35, 2, "5 bytes fewer"), (45, 2, "5 bytes more")])
 def test_a_unit_of_another_size(size: int, number: int, text: str) -> None:
     other = struct.pack("<BQ", records.CHUNK, size) + b"b" * size

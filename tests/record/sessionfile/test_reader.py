@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import random
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
@@ -19,6 +19,7 @@ from igtl_gateway.base.errors import DamagedRecording, RecordingError, Unsupport
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.bulk import ChunkReader
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from tests.files import RefusingStream, write_anew
@@ -452,3 +453,47 @@ def test_a_channel_of_a_schema_that_is_not_there_is_refused() -> None:
     lost = (build.CHANNEL, build.channel(2, 7, "/lost", "cdr"))
     with pytest.raises(DamagedRecording, match="channel /lost: found schema 7, which is not there"):
         SessionFile(Path("bag.mcap"), BytesIO(bag(Chunk((*DEFINITIONS, lost, *messages(5)))).finish()))
+
+
+@pytest.mark.parametrize("messages_first", [True, False])
+def test_of_two_definitions_of_a_type_that_of_the_channel_with_messages_counts(
+    messages_first: bool, tmp_path: Path
+) -> None:
+    """Whichever comes first in the file."""
+    with (tmp_path / "a").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2", "another program")
+        texts = {"/used": b"int8 a", "/unused": b"int8 a\nint8 b"}
+        names = ["/used", "/unused"] if messages_first else ["/unused", "/used"]
+        channels = {}
+        for name in names:
+            schema = writer.register_schema("a/msg/B", "ros2msg", texts[name])
+            channels[name] = writer.register_channel(name, "cdr", schema)
+        writer.add_message(channels["/used"], 5, b"\0\1\0\0\7", 4)
+        writer.finish()  # type: ignore[no-untyped-call]
+    with SessionFile.open(tmp_path / "a") as file:
+        assert [entry.channel for entry in file.entries()] == ["/used"]
+        assert file.definitions["a/msg/B"].strip() == "int8 a"
+        assert [each.topic for each in file.skipped] == ["/unused"]
+
+
+def test_messages_are_read_in_arrays_and_notes_one_by_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A note has its fields in JSON, so there is no array of them; messages must not be read as notes are."""
+    writer = SessionWriter(tmp_path / "a.mcap", samples.SESSION)
+    for entry in samples.every_kind(3):
+        writer.write(entry)
+    writer.close({})
+    used: list[Sequence[int]] = []
+    blocks = ChunkReader.blocks
+
+    def counted(self: ChunkReader, channels: Sequence[int], *words: int, **more: bool) -> object:
+        used.append(channels)
+        return blocks(self, channels, *words, **more)
+
+    monkeypatch.setattr(ChunkReader, "blocks", counted)
+    with SessionFile.open(tmp_path / "a.mcap") as file:
+        for channel in file.channels:
+            used.clear()
+            is_note = channel.kind in layout.NOTE_KINDS
+            assert sum(map(len, file.blocks(channel))) == (0 if is_note else channel.count)
+            assert bool(used) is not is_note, channel

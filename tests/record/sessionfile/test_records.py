@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import zlib
 from collections.abc import Callable
 from io import BytesIO
@@ -9,10 +10,11 @@ from typing import Any
 
 import pytest
 from mcap.data_stream import ReadDataStream
-from mcap.records import Attachment, Channel, ChunkIndex, Header, MessageIndex, Metadata, Schema, Statistics
+from mcap.records import Attachment, Channel, ChunkIndex, DataEnd, Header, MessageIndex, Metadata, Schema, Statistics
 
 from igtl_gateway.record.sessionfile import records
 from igtl_gateway.record.sessionfile.records import HEAD, Malformed
+from tools import mcap_build as build
 
 PARSED: list[tuple[Callable[[bytes], Any], Any]] = [
     (records.parse_header, Header(profile="ros2", library="a library")),
@@ -68,3 +70,35 @@ def test_consecutive_records() -> None:
 
 def test_the_checksum_goes_on() -> None:
     assert records.crc32(b"cd", records.crc32(b"ab")) == records.crc32(bytearray(b"abcd")) == zlib.crc32(b"abcd")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        (records.HEADER, records.pack(PARSED[0][1])),
+        (records.SCHEMA, records.pack(PARSED[1][1])),
+        (records.CHANNEL, records.pack(PARSED[2][1])),
+        (records.METADATA, records.pack(PARSED[3][1])),
+        (records.ATTACHMENT, records.pack(PARSED[4][1])),
+        (records.MESSAGE_INDEX, records.pack_message_index(7, [100, 0, 200, 40])),
+        (
+            records.CHUNK,
+            build.record(
+                build.CHUNK, struct.pack("<QQQI", 1, 2, 7, 0) + build.text("lz4") + struct.pack("<Q", 7) + b"content"
+            ),
+        ),
+        (records.DATA_END, records.pack(DataEnd(5))),
+    ],
+    ids=lambda each: str(each[0]),
+)
+def test_a_record_ends_where_its_fields_end(content: tuple[int, bytes]) -> None:
+    """So a damaged length does not cost the next record."""
+    opcode, data = content
+    assert data[0] == opcode
+    at = HEAD.size
+    for each in records.FIELDS[opcode]:
+        if isinstance(each, int):
+            at += each
+        else:
+            at += each.size + each.unpack_from(data, at)[0]
+    assert at == len(data)

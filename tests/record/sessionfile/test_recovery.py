@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from array import array
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
 from random import Random
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
 import pytest
@@ -25,6 +26,7 @@ from igtl_gateway.record.sessionfile import layout, recovery
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.recovery import recover
 from igtl_gateway.record.sessionfile.salvage import Salvage
+from igtl_gateway.record.sessionfile.salvage_report import SalvageReport
 from igtl_gateway.record.sessionfile.stream import McapStream
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from tests.places import FIXTURES
@@ -335,3 +337,33 @@ def test_the_libraries_read_the_ends_of_a_long_whole_recording(
         first, last = file._index.chunks[0], file._index.chunks[-1]
         ends = [(first.start_ns, first.end_ns + 1), (last.start_ns, last.end_ns + 1)]
     assert seen == ([(None, None)] if most else ends)
+
+
+@pytest.mark.parametrize(
+    ("times", "kept", "texts"),
+    [
+        ([], [], []),
+        ([5], [5], []),
+        ([5, 5, 6], [5, 5, 6], []),
+        ([5, 100, 6, 7], [5, 6, 7], ["entry 1: its time, 100 ns, is out of order: found 5 before it"]),
+        ([9, 1, 2, 3], [1, 2, 3], ["entry 0: its time, 9 ns, is out of order: found 1 after it"]),
+        ([1, 2, 3, 0], [1, 2, 3], ["entry 3: its time, 0 ns, is out of order: found 3 before it"]),
+        (
+            [1, 2, 90, 91, 3, 4, 5],
+            [1, 2, 3, 4, 5],
+            [f"entry {at}: its time, {88 + at} ns, is out of order: found 2 before it" for at in (2, 3)],
+        ),
+    ],
+)
+def test_the_longest_part_in_order_stays_and_the_others_are_named(
+    times: list[int], kept: list[int], texts: list[str]
+) -> None:
+    rows = recovery._longest_rising(array("q", times))
+    assert [times[row] for row in rows] == kept and rows == sorted(set(rows))
+    if not rows:
+        return
+    file = SimpleNamespace(report=SalvageReport(100, messages=len(times)))
+    numbers = array("q", range(len(times)))
+    recovery._name_the_others(file, rows, array("q", times), numbers, numbers)  # type: ignore[arg-type]
+    assert [loss.text for loss in file.report.lost] == texts
+    assert (file.report.messages, file.report.start_ns, file.report.end_ns) == (len(kept), kept[0], kept[-1])

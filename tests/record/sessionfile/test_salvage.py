@@ -6,7 +6,7 @@ import os
 import random
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 
@@ -14,7 +14,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.base.errors import DamagedRecording, LimitExceeded, UnsupportedRecording
+from igtl_gateway.base.untrusted import limits
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile import layout, salvage_report
 from igtl_gateway.record.sessionfile.compression import Compression
@@ -433,3 +434,35 @@ def test_a_summary_that_ends_within_a_record_loses_nothing(tmp_path: Path) -> No
     summary = b"".join(build.record(*each) for each in made.summary) + build.record(*cut, length=99)
     data = build.finish(made.data, [(summary[0], summary[9:])], offsets=False)
     assert [entry.stamp_ns for entry in read(tmp_path / "bag.mcap", data).entries] == [5, 6]
+
+
+def test_the_number_of_attachments_is_bounded() -> None:
+    rows = [(build.ATTACHMENT, build.attachment(f"a{number}", "text/plain", b"abc")) for number in range(30)]
+    data = bag(Chunk((*DEFINITIONS, *messages(5, 6))), *rows).data
+    with limits.limits_in_force(replace(limits.current_limits(), count=30)):
+        assert sum(1 for _ in Salvage(Path("a"), BytesIO(data)).attachments()) == 30
+    with (
+        limits.limits_in_force(replace(limits.current_limits(), count=29)),
+        pytest.raises(LimitExceeded, match="a: attachments"),
+    ):
+        Salvage(Path("a"), BytesIO(data))
+
+
+def test_a_session_without_its_metadata_is_named_as_a_loss(tmp_path: Path) -> None:
+    """Its entries are there, but not with which configuration they were made."""
+    path = tmp_path / "a.mcap"
+    writer = SessionWriter(path, samples.SESSION)
+    for entry in samples.every_kind(2):
+        writer.write(entry)
+    writer.close(LEDGER)
+    data = path.read_bytes()
+    places = {each.name: each for each in make_reader(BytesIO(data)).get_summary().metadata_indexes}  # type: ignore[union-attr]
+    damaged = data
+    for name in layout.SESSION_RECORDS:
+        place = places[name]
+        damaged = damaged[: place.offset] + b"\xff" * place.length + damaged[place.offset + place.length :]
+    whole, without = Salvage(path, BytesIO(data)), Salvage(path, BytesIO(damaged))
+    assert [len(list(each.entries())) for each in (whole, without)] == [len(samples.every_kind(2))] * 2
+    assert whole.report.whole and not any(loss.what == salvage_report.METADATA for loss in whole.report.lost)
+    texts = [loss.text for loss in without.report.lost if loss.what == salvage_report.METADATA]
+    assert texts == ["the session metadata, such as the configuration"]

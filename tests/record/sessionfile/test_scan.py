@@ -10,6 +10,7 @@ import pytest
 
 from igtl_gateway.base.errors import LimitExceeded
 from igtl_gateway.base.untrusted import limits
+from igtl_gateway.record.sessionfile import scan as scanning
 from igtl_gateway.record.sessionfile.contents import Index
 from igtl_gateway.record.sessionfile.records import Malformed
 from igtl_gateway.record.sessionfile.scan import scan
@@ -65,3 +66,17 @@ def test_data_without_an_end_are_indexed_up_to_their_last_record() -> None:
     end = len(data) - len(build.record(build.DATA_END, bytes(4)))
     found = scanned(data[:end])
     assert [(chunk.start_ns, chunk.end_ns, chunk.loose) for chunk in found.chunks] == [(5, 5, False), (7, 8, True)]
+
+
+@pytest.mark.parametrize(("times", "lengths"), [(1, [1]), (3, [3]), (4, [4]), (5, [4, 1]), (8, [4, 4]), (9, [4, 4, 1])])
+def test_messages_outside_of_chunks_are_read_in_pieces(
+    times: int, lengths: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A piece ends with the message that fills it."""
+    some = messages(*range(10, 10 + times))
+    size = len(build.record(*some[0]))
+    monkeypatch.setattr(scanning, "_PIECE", 4 * size)
+    found = scanned(bag(*DEFINITIONS, *some).data)
+    assert [chunk.length for chunk in found.chunks] == [number * size for number in lengths]
+    assert all(chunk.loose for chunk in found.chunks)
+    assert [chunk.start_ns for chunk in found.chunks] == [10 + sum(lengths[:at]) for at in range(len(lengths))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from mcap.stream_reader import breakup_chunk
 from igtl_gateway.base.errors import UnsupportedRecording
 from igtl_gateway.record.seal.keys import SigningKey
 from igtl_gateway.record.seal.statement import UnitRow
+from igtl_gateway.record.sessionfile.layout import SEAL_METADATA
 from igtl_gateway.record.sessionfile.seal_check import SEALED, check_seal
 from igtl_gateway.record.sessionfile.seal_copy import seal_copy
 from igtl_gateway.record.sessionfile.sealing import Sealer, SealSeries
@@ -79,3 +81,19 @@ def test_a_seal_has_the_first_and_the_last_entry_of_each_chunk(path: Path, tmp_p
             numbers = [record.sequence for record in records if isinstance(record, Message)]
             expected.append((min(numbers), max(numbers)))
     assert found == expected
+
+
+@pytest.mark.parametrize("names", [(), ("m",), ("m", "n")])
+def test_the_index_of_a_sealed_copy_names_each_metadata_record_once(names: tuple[str, ...], tmp_path: Path) -> None:
+    """Those of the file and the two seals, read by the library of MCAP."""
+    rows = [(build.METADATA, build.metadata(name, {"a": "b"})) for name in names]
+    source, output = tmp_path / "a.mcap", tmp_path / "sealed.mcap"
+    source.write_bytes(build.assemble([*_PARTS, *rows]).finish())
+    seal_copy(source, output, SealSeries(SigningKey.generate(), lambda: 5).next_file(output))
+    summary = make_reader(BytesIO(output.read_bytes())).get_summary()
+    assert summary and summary.statistics
+    assert [each.name for each in summary.metadata_indexes] == [*names, SEAL_METADATA, SEAL_METADATA]
+    assert summary.statistics.metadata_count == len(names) + 2
+    offsets = [each.offset for each in summary.metadata_indexes]
+    assert offsets == sorted(set(offsets))
+    assert check_seal(output).state == SEALED
