@@ -57,6 +57,7 @@ class Pseudonyms:
     full: dict[str, str] = field(default_factory=dict)
     asked: set[str] = field(default_factory=set)
     _owners: dict[str, str] = field(default_factory=dict)
+    _made: dict[str, str] = field(default_factory=dict)  # full name → its new name
 
     def __post_init__(self) -> None:
         if len(self.key) > _BLOCK_BYTES:
@@ -64,7 +65,10 @@ class Pseudonyms:
 
     def name(self, name: str) -> str:
         """Return the new name; ``AToB`` is replaced part by part.  Raises GatewayError for equal new names."""
-        new = self._name(self.full.get(name, name))
+        full = self.full.get(name, name)
+        new = self._made.get(full)
+        if new is None:
+            new = self._made[full] = self._name(full)
         if new != name:
             self.changed()
         return new

@@ -5,6 +5,7 @@ Types of ROS 2 Jazzy and of the packages of this project are known; all others a
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from functools import cache
 from typing import Any
@@ -26,6 +27,10 @@ from igtl_gateway.addons.deidentify.messages import MessageCleaner
 TIME = "builtin_interfaces/msg/Time"
 _EIGHT_BITS = frozenset({"uint8", "int8", "byte", "char", "octet"})
 _SEVERAL = (Nodetype.ARRAY, Nodetype.SEQUENCE)
+_STAMP_BYTES = 8
+_U32 = struct.Struct("<I")
+#: CDR begins with these bytes; offsets are aligned from their end on.
+_ENCAPSULATION = b"\0\1\0\0"
 #: Types with positions on the earth, and types that carry any bytes.
 _PLACES = frozenset({"sensor_msgs/msg/NavSatFix", "geographic_msgs/msg/GeoPoint"})
 _ANY_BYTES = frozenset({"igtl_msgs/msg/RawMessage"})
@@ -64,6 +69,70 @@ _DATA = frozenset({
 })  # fmt: skip
 
 
+class RosLayout:
+    """Where the stamps and the numbers are in messages of some types of ROS.
+
+    These are the types whose fields are, one after the other, times and strings, and then numbers of 64 bits.
+
+    Args:
+        fields: definitions, as rosbags has them.
+    """
+
+    def __init__(self, fields: Mapping[str, Any]) -> None:
+        self._fields = fields
+        self._known: dict[str, tuple[tuple[str, ...], int] | None] = {}
+
+    def places(self, ros_type: str, data: bytes) -> tuple[list[int], int] | None:
+        """Return the offsets of the stamps and of the first number; None for another type, and for other bytes."""
+        if ros_type not in self._known:
+            self._known[ros_type] = self._flat(ros_type)
+        known = self._known[ros_type]
+        if known is None or not data.startswith(_ENCAPSULATION):
+            return None
+        texts, numbers = known
+        stamps, at = [], len(_ENCAPSULATION)
+        for each in texts:
+            at += -at % 4
+            if each == TIME:
+                stamps.append(at)
+                at += _STAMP_BYTES
+            elif at + _U32.size > len(data):
+                return None
+            else:
+                at += _U32.size + _U32.unpack_from(data, at)[0]
+        at += -(at - len(_ENCAPSULATION)) % 8
+        return (stamps, at) if at + 8 * numbers == len(data) else None
+
+    def _flat(self, ros_type: str) -> tuple[tuple[str, ...], int] | None:
+        texts: list[str] = []
+        numbers = 0
+        for each in self._leaves(ros_type):
+            if each == "float64":
+                numbers += 1
+            elif numbers or each not in (TIME, "string"):
+                return None
+            else:
+                texts.append(each)
+        return (tuple(texts), numbers) if numbers else None
+
+    def _leaves(self, ros_type: str) -> list[str]:
+        """The fields of a type with those of its parts; ``""`` for what has another layout."""
+        if ros_type == TIME:
+            return [TIME]
+        found: list[str] = []
+        fields: Any = self._fields[ros_type][1] if ros_type in self._fields else [("", (None, ""))]
+        for _, (kind, inner) in fields:
+            if kind == Nodetype.NAME:
+                found += self._leaves(inner)
+            elif kind == Nodetype.BASE:
+                found.append(inner[0])
+            elif kind == Nodetype.ARRAY and inner[0] == (Nodetype.BASE, ("float64", 0)):
+                found += ["float64"] * int(inner[1])
+            else:
+                found.append("")
+        return found
+
+
 class RosCleaner:
     """Changes ROS messages by the rules of a context.
 
@@ -79,6 +148,8 @@ class RosCleaner:
         for types in _own_types():
             register_types(self._store, types)
         self._counters: dict[str, ElementCounter] = {}
+        #: Where stamps and numbers are in messages.
+        self.layout = RosLayout(self._store.fielddefs)
 
     def clean(self, ros_type: str, data: bytes, stream: str) -> bytes:
         """Return the message without identity.  Raises Removed."""

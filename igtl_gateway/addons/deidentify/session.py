@@ -44,6 +44,7 @@ from igtl_gateway.addons.deidentify.context import Context, Removed
 from igtl_gateway.addons.deidentify.messages import MessageCleaner
 from igtl_gateway.addons.deidentify.notes import clean_mark, clean_note
 from igtl_gateway.addons.deidentify.profile import Profile
+from igtl_gateway.addons.deidentify.repeated import Repeated
 from igtl_gateway.addons.deidentify.report import Report
 from igtl_gateway.addons.deidentify.ros import RosCleaner, bare_definition
 from igtl_gateway.addons.deidentify.unused import unused_rows
@@ -113,6 +114,14 @@ def _seal_of(path: Path) -> SealVerification | None:
     return None if found.state == UNSEALED else found
 
 
+@dataclasses.dataclass(slots=True)
+class _Numbers:
+    """Number and time (UTC ns) of the last entry."""
+
+    seq: int = 0
+    stamp_ns: int = 0
+
+
 class _Run:
     """One de-identification."""
 
@@ -124,6 +133,7 @@ class _Run:
         self._acceptance = recorded_acceptance(file)
         self._messages = MessageCleaner(context, self._acceptance)
         self._ros = RosCleaner(context, self._messages, file.definitions)
+        self._repeated = Repeated(context, self._ros.layout.places)
         self._is_import = IMPORTED in file.session
         #: The marks of the side file, without identity.
         self.added = [clean_mark(mark, context) for mark in added_marks(file.path, file.start_ns, file.end_ns)]
@@ -131,10 +141,13 @@ class _Run:
         config = config_to_run(file.session) if not self._is_import else Config()
         self._config = clean_config(config, seen, context)
         self._qos: dict[tuple[str, str], Qos | None] = {}
+        self._recorded_qos = {(each.topic, each.type): each.qos for each in reversed(file.channels)}
 
     def write(self, path: Path) -> None:
         """Write the new session."""
-        session = Session(make_core(self._config, fast_path=False))
+        # the fast path has the result of the full path, and the new session is verified
+        numbers = _Numbers()
+        session = Session(make_core(self._config), numbers)
         before: list[Entry] = []
         for group in input_groups(self._file.prologue()):
             for entry in self._cleaned((group.input,)):
@@ -149,6 +162,7 @@ class _Run:
             path, self._facts(), qos_of=qos_of, definition_of=self._definition_of, compression="zstd",
             prologue=before,
         )  # fmt: skip
+        numbers.seq, numbers.stamp_ns = 0, 0  # the prologue is not in the session
         seq, stamp_ns = 0, 0
         for entry in self._cleaned(self._inputs()):
             seq, stamp_ns = self._add(writer, session, entry, seq, stamp_ns)
@@ -158,14 +172,18 @@ class _Run:
 
     def _add(self, writer: SessionWriter, session: Session, entry: Entry, seq: int, stamp_ns: int) -> tuple[int, int]:
         """Write an input and its outputs after an entry; return number and time of the last one."""
-        first = dataclasses.replace(entry, seq=seq + 1, stamp_ns=max(entry.stamp_ns, stamp_ns + 1))
-        outputs = [] if self._is_import else session.recorded(first)
-        for each in (first, *outputs):
+        if self._is_import:
+            entries = [dataclasses.replace(entry, seq=seq + 1, stamp_ns=max(entry.stamp_ns, stamp_ns + 1))]
+        else:
+            entries = session.input(
+                entry.stamp_ns, entry.kind, entry.payload, channel=entry.channel, type_name=entry.type,
+                links=entry.links, source_ns=entry.source_ns,
+            )  # fmt: skip
+        for each in entries:
             writer.write(each)
         self.report.inputs += 1
-        self.report.outputs += len(outputs)
-        last = outputs[-1] if outputs else first
-        return last.seq, last.stamp_ns
+        self.report.outputs += len(entries) - 1
+        return entries[-1].seq, entries[-1].stamp_ns
 
     def _inputs(self) -> Iterator[Entry]:
         # the new session states no corrections: its messages have them
@@ -177,6 +195,9 @@ class _Run:
 
     def _cleaned(self, entries: Iterable[Entry]) -> Iterator[Entry]:
         for entry in entries:
+            if (same := self._repeated.apply(entry)) is not None:
+                yield same
+                continue
             before = self.report.rules.copy()
             try:
                 new = self._clean(entry)
@@ -189,6 +210,7 @@ class _Run:
             if changes:
                 counts = self.report.streams.setdefault(new.channel or "notes", changes.__class__())
                 counts.update(dict.fromkeys(changes, 1))
+            self._repeated.learn(entry, new, changes)
             yield new
 
     def _clean(self, entry: Entry) -> Entry:
@@ -201,7 +223,7 @@ class _Run:
             case Kind.ROS_IN:
                 data = self._ros.clean(entry.type, entry.data(), entry.channel)
                 topic, source_ns = self._context.names.topic(entry.channel), self._context.times.ns(entry.source_ns)
-                self._qos[topic, entry.type] = self._recorded_qos(entry)
+                self._qos[topic, entry.type] = self._recorded_qos.get((entry.channel, entry.type))
                 return Entry(entry.seq, stamp_ns, entry.kind, topic, entry.type, (data,), entry.links, source_ns)
             case Kind.ROS_OUT:  # a command to a robot, in a prologue: its topic is its device
                 data = self._ros.clean(entry.type, entry.data(), entry.channel)
@@ -210,11 +232,6 @@ class _Run:
             case _:
                 note = clean_note(entry.data(), self._context)
                 return Entry(entry.seq, stamp_ns, entry.kind, payload=(note,), links=entry.links)
-
-    def _recorded_qos(self, entry: Entry) -> Qos | None:
-        return next(
-            (each.qos for each in self._file.channels if (each.topic, each.type) == (entry.channel, entry.type)), None
-        )
 
     def _stream_name(self, entry: Entry) -> str:
         """Return the new stream of a removed message; an unknown type of a peer may be any text."""
