@@ -44,6 +44,7 @@ TESTS = {
     "_columns": ("tests/record/sessionfile/test_columns.py", "tests/record/sessionfile/test_chunk_columns.py"),
     "_express": ("tests/convert/test_express.py", "tests/native/test_twins.py"),
     "_figures": ("tests/record/sessionfile/test_figures.py",),
+    "_lines": ("tests/api/test_csv_lines.py",),
     "_passage": (
         *(f"tests/native/test_{name}.py" for name in ("foreign", "subscriptions", "turns", "types")),
         "tests/gateway/fastpath",

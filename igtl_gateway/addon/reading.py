@@ -65,6 +65,11 @@ if TYPE_CHECKING:
     from igtl_gateway.replay.recorded_marks import marked_moment as marked_moment
     from igtl_gateway.replay.recorded_marks import marks_of as marks_of
     from igtl_gateway.replay.recorded_stamps import RecordedStamps as RecordedStamps
+    from igtl_gateway.replay.rows import Head as Head
+    from igtl_gateway.replay.rows import Heads as Heads
+    from igtl_gateway.replay.rows import Rows as Rows
+    from igtl_gateway.replay.rows import rows_of as rows_of
+    from igtl_gateway.replay.rows import rows_of_entries as rows_of_entries
     from igtl_gateway.replay.source import check_recorded as check_recorded
     from igtl_gateway.replay.source import through_gateway as through_gateway
     from igtl_gateway.replay.stamp_places import StampPlaces as StampPlaces
@@ -89,6 +94,7 @@ HOMES: Homes = (
     ("record.sessionfile.stream_rows", "StreamName StreamNumbers StreamRows"),
     ("record.sessionfile.ranges", "RangeFile named"),
     ("gateway.log.entry", "Entry Kind"),
+    ("replay.rows", "Head Heads Rows rows_of rows_of_entries"),
     ("gateway.log.note", "Level Note"),
     ("gateway.log.groups", "input_groups"),
     ("base.qos", "Endpoint Qos incompatible"),

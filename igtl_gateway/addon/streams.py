@@ -10,16 +10,27 @@ if TYPE_CHECKING:
     from igtl_gateway.api.arrow_tables import TableMaker as TableMaker
     from igtl_gateway.api.arrow_tables import fitted as fitted
     from igtl_gateway.api.arrow_tables import unified as unified
+    from igtl_gateway.api.cdr_columns import Column as Column
+    from igtl_gateway.api.cdr_columns import NotColumns as NotColumns
+    from igtl_gateway.api.cdr_columns import ros_columns as ros_columns
     from igtl_gateway.api.clouds import Cloud as Cloud
     from igtl_gateway.api.columns import HEAD as HEAD
     from igtl_gateway.api.columns import LINK as LINK
     from igtl_gateway.api.columns import MAX_COLUMNS as MAX_COLUMNS
+    from igtl_gateway.api.columns import MAX_NUMBERS as MAX_NUMBERS
     from igtl_gateway.api.columns import Cells as Cells
     from igtl_gateway.api.columns import TooLong as TooLong
     from igtl_gateway.api.columns import name_igtl_fields as name_igtl_fields
     from igtl_gateway.api.columns import name_ros_fields as name_ros_fields
     from igtl_gateway.api.columns import table_rows as table_rows
+    from igtl_gateway.api.csv_lines import Cell as Cell
+    from igtl_gateway.api.csv_lines import cell_text as cell_text
+    from igtl_gateway.api.csv_lines import csv_lines as csv_lines
+    from igtl_gateway.api.csv_lines import number_cell as number_cell
+    from igtl_gateway.api.csv_lines import rows_of_cell as rows_of_cell
     from igtl_gateway.api.igtl_columns import POSE_TYPES as POSE_TYPES
+    from igtl_gateway.api.igtl_columns import pose_columns as pose_columns
+    from igtl_gateway.api.igtl_columns import pose_rows as pose_rows
     from igtl_gateway.api.igtl_columns import quaternions_of as quaternions_of
     from igtl_gateway.api.images import Images as Images
     from igtl_gateway.api.images import find_row as find_row
@@ -51,15 +62,17 @@ HOMES: Homes = (
     # Poses, and numbers of joints by their names
     ("api.poses", "between_poses matrices_of"),
     ("api.posing", "tools_of transforms_of"),
-    ("api.igtl_columns", "POSE_TYPES quaternions_of"),
+    ("api.igtl_columns", "POSE_TYPES pose_columns pose_rows quaternions_of"),
     ("api.named_numbers", "NAME_FIELDS by_name completed"),
     # Pictures and where they are, clouds
     ("api.images", "Images find_row"),
     ("api.placement", "COORDINATE ImagePlacement Vector has_own_normal"),
     ("api.clouds", "Cloud"),
     # Tables
-    ("api.columns", "Cells HEAD LINK MAX_COLUMNS TooLong name_igtl_fields name_ros_fields table_rows"),
+    ("api.columns", "Cells HEAD LINK MAX_COLUMNS MAX_NUMBERS TooLong name_igtl_fields name_ros_fields table_rows"),
     ("api.arrow_tables", "TableMaker fitted unified"),
+    ("api.cdr_columns", "Column NotColumns ros_columns"),
+    ("api.csv_lines", "Cell cell_text csv_lines number_cell rows_of_cell"),
 )
 
 __getattr__, __dir__ = at_first_use(__name__, HOMES)

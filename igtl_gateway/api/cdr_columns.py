@@ -125,7 +125,10 @@ class _Walk:
         if element in _TYPES:
             self._columns.append(Column(name, unit_text(unit), _truth(self._numbers(element), element)))
         elif element == "string":
-            size = np.maximum(self._numbers("uint32").astype(np.int64), 1) - 1
+            size = self._numbers("uint32").astype(np.int64) - 1
+            self._check(size + 1)
+            if (size < 0).any() or (gathered(self._data, self._at + size, 1) != 0).any():
+                raise NotColumns  # without its NUL
             values, offsets = ragged(self._data, self._at, size, self._ends)
             self._at = self._at + size + 1
             self._columns.append(Column(name, "", _checked_text(values, offsets), offsets, is_text=True))
@@ -187,7 +190,7 @@ class _Walk:
     def _align(self, size: int) -> None:
         self._at = self._at + -(self._at - self._starts) % size
 
-    def _check(self, size: int) -> None:
+    def _check(self, size: int | Numbers) -> None:
         if (self._at + size > self._ends).any():
             raise NotColumns
 

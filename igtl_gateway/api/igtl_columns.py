@@ -19,7 +19,7 @@ from igtl_gateway.convert.poses import ROUNDING, pose_of_matrix, rotation_matrix
 from igtl_gateway.convert.units import LengthUnits, millimetres
 from igtl_gateway.gateway.acceptance import DEFAULT_ACCEPTANCE, Acceptance
 from igtl_gateway.record.sessionfile.bulk import Bytes, MessageBlock, gathered
-from igtl_gateway.wire.header import BODY_SIZE_AT, CRC_AT, HEADER_SIZE, crc64
+from igtl_gateway.wire.header import BODY_SIZE_AT, CRC_AT, DEVICE_NAME_AT, HEADER_SIZE, TYPE_AT, crc64
 from igtl_gateway.wire.transform import Position, Transform
 
 Array = npt.NDArray[Any]
@@ -30,9 +30,9 @@ POSE_TYPES = ("TRANSFORM", "POSITION", "QTRANS")
 _MATRIX_BYTES, _POSITION_BYTES = 48, 28
 _HEAD = np.dtype(
     {
-        "names": ["version", "body_size", "crc"],
-        "formats": [">u2", ">u8", ">u8"],
-        "offsets": [0, BODY_SIZE_AT, CRC_AT],
+        "names": ["version", "type", "body_size", "crc"],
+        "formats": [">u2", f"S{DEVICE_NAME_AT - TYPE_AT}", ">u8", ">u8"],
+        "offsets": [0, TYPE_AT, BODY_SIZE_AT, CRC_AT],
         "itemsize": HEADER_SIZE,
     }
 )
@@ -61,7 +61,7 @@ def pose_rows(block: MessageBlock, igtl_type: str, acceptance: Acceptance = DEFA
     """The poses of messages of one of POSE_TYPES."""
     is_matrix = igtl_type == "TRANSFORM"
     size = _MATRIX_BYTES if is_matrix else _POSITION_BYTES
-    plain, bodies = _plain(block, size, acceptance)
+    plain, bodies = _plain(block, igtl_type, size, acceptance)
     matrices = np.zeros((len(block), 4, 4))
     matrices[:, 3, 3] = 1.0
     quaternions = np.zeros((len(block), 4))
@@ -108,14 +108,16 @@ def rotations(quaternions: Array) -> Array:
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
-def _plain(block: MessageBlock, size: int, acceptance: Acceptance) -> tuple[npt.NDArray[np.bool_], Bytes]:
-    """Which messages are of version 1, with a body of ``size`` bytes, and accepted; and these bodies."""
+def _plain(
+    block: MessageBlock, igtl_type: str, size: int, acceptance: Acceptance
+) -> tuple[npt.NDArray[np.bool_], Bytes]:
+    """Which messages are of the type, of version 1, with a body of ``size`` bytes, and accepted; and these bodies."""
     found = np.zeros(len(block), np.bool_)
     fitting = np.flatnonzero(block.ends - block.begins == HEADER_SIZE + size)
     messages = gathered(block.data, block.begins[fitting], HEADER_SIZE + size)
     heads = messages[:, :HEADER_SIZE].copy().view(_HEAD).reshape(-1)
     bodies = messages[:, HEADER_SIZE:]
-    right = (heads["version"] == 1) & (heads["body_size"] == size)
+    right = (heads["version"] == 1) & (heads["body_size"] == size) & (heads["type"] == igtl_type.encode())
     if acceptance.check_crc:
         right &= heads["crc"] == crcs(bodies)
     found[fitting] = right

@@ -4,7 +4,7 @@ Messages are paired by stream and by their order in it.  If two messages do not 
 are searched for a match (equal bytes, or equal size and equal source stamp).  Unmatched messages before it are missing
 on the other side.  Both files are read once, in step; at most a window of messages per stream waits for a match.
 
-Both sides are rows of arrays (``diff_rows``).  Runs of messages with equal bytes are found and counted at once; where
+Both sides are rows of arrays (``rows``).  Runs of messages with equal bytes are found and counted at once; where
 two messages differ, and until their streams are in step again, messages are paired one by one.  The result does not
 depend on how many rows come at a time.
 
@@ -30,7 +30,7 @@ from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.chunk_columns import equal_ranges
 from igtl_gateway.record.sessionfile.columns import EntryColumns
 from igtl_gateway.replay.compare import EXACT, Delta, LeafDecoder, Tolerance, Undecodable, compare_values, first_byte
-from igtl_gateway.replay.diff_rows import Array, Heads, Rows, rows_of_columns, rows_of_entries
+from igtl_gateway.replay.rows import Array, Heads, Rows, rows_of_columns, rows_of_entries
 from igtl_gateway.replay.source import matches_any
 
 #: Maximum number of messages of a stream that wait for a match, and their maximum size in bytes.

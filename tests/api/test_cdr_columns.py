@@ -130,3 +130,12 @@ def test_what_does_not_fit_is_for_the_decoder_of_single_messages() -> None:
         )
     with pytest.raises(NotColumns):
         ros_columns(good, STORE.fielddefs, "sensor_msgs/msg/PointCloud2")
+
+
+@pytest.mark.parametrize("data", [b"\0\0\0\0", b"\2\0\0\0ab", b"\3\0\0\0a\0"])
+def test_a_string_without_its_end_is_decoded_alone(data: bytes) -> None:
+    """rosbags refuses it."""
+    ros_type = "std_msgs/msg/String"
+    given = block_of([Entry(1, 1, Kind.ROS_IN, "/a", ros_type, (b"\0\1\0\0" + data,))])
+    with pytest.raises(NotColumns):
+        ros_columns(given, STORE.fielddefs, ros_type)

@@ -67,12 +67,16 @@ class ExportAccount:
 
     def row(self, entry: Entry) -> ExportedStream:
         """Return the row of an entry's stream; counts the entry as declared."""
-        key = (entry.kind, entry.channel, entry.type)
+        return self.stream(entry.kind, entry.channel, entry.type)
+
+    def stream(self, kind: Kind, channel: str, type_name: str, count: int = 1) -> ExportedStream:
+        """Return the row of a stream; counts some of its messages as declared."""
+        key = (kind, channel, type_name)
         row = self._by_stream.get(key)
         if row is None:
-            row = self._by_stream[key] = ExportedStream(entry.channel, 0, entry.type)
+            row = self._by_stream[key] = ExportedStream(channel, 0, type_name)
             self.rows.append(row)
-        row.declared += 1
+        row.declared += count
         return row
 
     def part(self, entry: Entry, unit: str) -> ExportedStream:

@@ -45,9 +45,9 @@ def new_folder(path: Path, account: ExportAccount) -> Iterator[Folder]:
             shutil.rmtree(place)
 
 
-def file_name(entry: Entry) -> str:
-    """Return the file name of an entry's stream: kind, type and device or topic; ASCII letters, digits, _ and -."""
-    return f"{entry.kind.value}.{_token(entry.channel)}"
+def file_name(kind: Kind, channel: str) -> str:
+    """Return the file name of a stream: kind, type and device or topic; ASCII letters, digits, _ and -."""
+    return f"{kind.value}.{_token(channel)}"
 
 
 def _token(channel: str) -> str:
@@ -76,11 +76,15 @@ class FileNames:
 
     def of(self, entry: Entry) -> str:
         """Return the name without suffix of an entry's stream."""
-        key = (entry.kind, entry.channel, entry.type)
+        return self.of_stream(entry.kind, entry.channel, entry.type)
+
+    def of_stream(self, kind: Kind, channel: str, type_name: str) -> str:
+        """Return the name without suffix of a stream."""
+        key = (kind, channel, type_name)
         if key not in self._names:
-            name = wanted = file_name(entry)
+            name = wanted = file_name(kind, channel)
             number = self._numbers.get(wanted.lower(), 1)
-            owner = self._exact.get(_token(entry.channel))
+            owner = self._exact.get(_token(channel))
             while name.lower() in self._taken or (name == wanted and owner and owner != key[:2] and owner[0] is key[0]):
                 number += 1
                 name = f"{wanted}_{number}"

@@ -11,7 +11,7 @@ from mcap.records import Attachment, Metadata
 
 from igtl_gateway.addon import WireError, matches
 from igtl_gateway.addon.igtl import HEADER_SIZE, ExtendedHeader, Header
-from igtl_gateway.addon.reading import Entry, Kind, Qos, RecordedStamps, SessionFile
+from igtl_gateway.addon.reading import Entry, EntryColumns, Kind, Qos, RecordedStamps, SessionFile
 from igtl_gateway.addon.writing import Definition
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
 
@@ -68,6 +68,7 @@ class Recording(Protocol):
     @property
     def skipped(self) -> Sequence[Skipped]: ...
     def entries(self) -> Iterator[Entry]: ...
+    def columns(self) -> Iterator[EntryColumns]: ...
     def entries_of_kinds(self, kinds: Collection[Kind]) -> Iterator[Entry]: ...
 
 
@@ -94,11 +95,11 @@ def chosen_entries(
             that follow.
     """
     wanted, fitting = frozenset(kinds), dict[tuple[Kind, str, tuple[int, ...]], bool]()
-    by_link = any(_PEER.search(glob) for glob in globs)
-    forms, stamps = _VersionFilter(), RecordedStamps(recording)
+    by_link = names_links(globs)
+    forms, stamps = VersionFilter(), RecordedStamps(recording)
     for entry in recording.entries():
         if entry.kind.is_input:
-            forms = _VersionFilter()
+            forms = VersionFilter()
             if on_input is not None:
                 on_input(entry)
         if entry.kind not in wanted and (account is None or entry.kind not in _MESSAGES):
@@ -130,7 +131,7 @@ def count_skipped(recording: Recording, globs: Sequence[str], account: ExportAcc
             account.rows.append(row)
 
 
-class _VersionFilter:
+class VersionFilter:
     """The messages that one input caused, to find those that were sent in both header versions."""
 
     def __init__(self) -> None:
@@ -186,6 +187,11 @@ def sides_without_match(file: SessionFile, globs: Sequence[str]) -> list[str]:
         if any(matches_stream(channel, kind, [bare_glob(glob)]) for kind, channel, _ in streams)
         and not any(matches_stream(channel, kind, [glob], links) for kind, channel, links in streams)
     ]
+
+
+def names_links(globs: Sequence[str]) -> bool:
+    """Return whether a glob selects what came from a link or went there."""
+    return any(_PEER.search(glob) for glob in globs)
 
 
 def bare_glob(glob: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from igtl_gateway.addon.igtl import is_dialogue
 from igtl_gateway.addon.reading import Entry, Kind
@@ -27,14 +27,22 @@ class Senders:
             self._cause = ""
         if entry.kind is Kind.IGTL_IN and not is_dialogue(entry.type):
             self._cause = entry.channel
-            one = self._links.get(entry.channel)
-            if one is None:
-                one = self._links[entry.channel] = Interleaving()
-            one.add(entry.links)
-            if selected:
-                self._selected.add(entry.channel)
+            self.receive(entry.channel, entry.links, selected=selected)
         elif selected and self._cause and entry.kind is Kind.ROS_OUT:
-            self._topics.setdefault(self._cause, {})[entry.channel] = None
+            self.cause(self._cause, entry.channel)
+
+    def receive(self, channel: str, links: Sequence[int], *, selected: bool) -> None:
+        """Take notice of the next messages of a stream that come from the same links."""
+        one = self._links.get(channel)
+        if one is None:
+            one = self._links[channel] = Interleaving()
+        one.add(links)
+        if selected:
+            self._selected.add(channel)
+
+    def cause(self, channel: str, topic: str) -> None:
+        """Take notice that an exported topic is made of a received stream."""
+        self._topics.setdefault(channel, {})[topic] = None
 
     def notes(self) -> Iterator[str]:
         """Yield a sentence for each stream that several peers send in turn."""

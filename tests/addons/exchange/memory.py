@@ -12,6 +12,7 @@ from igtl_gateway.addons.exchange.source import ImportedItem, note_item, numbere
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.stamp import ns_to_ticks
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.columns import EntryColumns, Unfit
 from igtl_gateway.record.sessionfile.definition import Definition
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.body import Body
@@ -34,6 +35,9 @@ class InMemory:
 
     def entries(self) -> Iterator[Entry]:
         return numbered(self.items)
+
+    def columns(self) -> Iterator[EntryColumns]:
+        raise Unfit
 
     def entries_of_kinds(self, kinds: Collection[Kind]) -> Iterator[Entry]:
         return (entry for entry in self.entries() if entry.kind in kinds)

@@ -44,7 +44,7 @@ def test_a_name_stays_in_its_folder(tmp_path: Path, device: str) -> None:
         (Kind.IGTL_OUT, f"{device}/{device}"),
         (Kind.ROS_IN, device),
     ):
-        name = f"{file_name(entry(channel, kind))}.csv"
+        name = f"{file_name(kind, channel)}.csv"
         assert (tmp_path / name).resolve().parent == tmp_path.resolve()
         assert name.isascii()
         assert name.isprintable()

@@ -1,4 +1,4 @@
-"""The entries of one side of a comparison as rows: arrays of heads, times and places of payloads.
+"""The entries of a recording as rows: arrays of heads, times and places of payloads.
 
 Rows come from the columns of a file, or from entries one by one; both have the same contents.  What of a file cannot be
 read comes as the error of ``SessionFile.entries``, behind the rows before it.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile import layout
-from igtl_gateway.record.sessionfile.columns import EntryColumns, Stream, WireHead
+from igtl_gateway.record.sessionfile.columns import EntryColumns, Stream, Unfit, WireHead
 
 Array = npt.NDArray[Any]
 Numbers = npt.NDArray[np.int64]
@@ -29,7 +29,7 @@ _CHANNELS = 1 << 16
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """What messages have in common; ``group`` numbers their stream, -1: not compared."""
+    """What messages have in common; ``group`` is the number that the reader gives their stream."""
 
     kind: Kind
     channel: str
@@ -39,7 +39,7 @@ class Head:
 
 
 class Heads:
-    """Numbers the heads of both sides.
+    """Numbers the heads of some recordings.
 
     Attributes:
         known: the heads.
@@ -47,10 +47,10 @@ class Heads:
         forms: int32, heads with the same type and links have the same.
 
     Args:
-        group_of: returns the number of the stream of entries of a kind and channel; -1: they are not compared.
+        group_of: returns the number of the stream of entries of a kind and channel.
     """
 
-    def __init__(self, group_of: Callable[[Kind, str], int]) -> None:
+    def __init__(self, group_of: Callable[[Kind, str], int] = lambda _kind, _channel: 0) -> None:
         self.known: list[Head] = []
         self.groups, self.forms = np.zeros(0, np.int32), np.zeros(0, np.int32)
         self._group_of = group_of
@@ -148,6 +148,13 @@ class Rows:
         return Rows(buffers, which, begins, ends, self.heads, self.numbers, self.times, self.stamps)
 
 
+class Readable(Protocol):
+    """An open session file; see ``SessionFile``."""
+
+    def entries(self) -> Iterator[Entry]: ...
+    def columns(self) -> Iterator[EntryColumns]: ...
+
+
 _ARRAYS = tuple(each.name for each in fields(Rows))[1:]
 
 
@@ -189,6 +196,14 @@ def _times(values: Any) -> Array:
     found: Array = np.empty(len(values), object)
     found[:] = values if isinstance(values, list) else values.tolist()
     return found if len(found) and max(found) >= _FAR_NS else found.astype(np.int64)
+
+
+def rows_of(file: Readable, heads: Heads) -> Iterator[Rows]:
+    """The rows of a file: by columns where it has these, else of its entries.  Raises as ``SessionFile.entries``."""
+    try:
+        return rows_of_columns(file.columns(), heads)
+    except Unfit:
+        return rows_of_entries(file.entries(), heads)
 
 
 def rows_of_columns(blocks: Iterable[EntryColumns], heads: Heads) -> Iterator[Rows]:
