@@ -5,18 +5,18 @@
 #include <stdint.h>
 #include <string.h>
 
-/* The longest texts of a number. */
+/* The longest number. */
 #define FLOAT_SIZE 24
 #define INTEGER_SIZE 20
 
-/* A cell of each line: one text, a text for each line, or numbers. */
+/* A cell of each line: one string, a string for each line, or numbers. */
 struct cell {
     char kind; /* 't', 'l', 'f', 'i', 'u' */
     const char *text;
     Py_ssize_t size;
     PyObject *list;
     Py_buffer values, mask;
-    double last; /* of the line before, with its text */
+    double last; /* of the line before, with its digits */
     char last_text[FLOAT_SIZE];
     Py_ssize_t last_size;
 };
@@ -58,7 +58,7 @@ static int take_cell(struct cell *cell, PyObject *given, Py_ssize_t count, Py_ss
         if (!cell->list)
             return 0;
         if (PyTuple_GET_SIZE(cell->list) != count)
-            return fail("csv_lines: found another number of texts than lines");
+            return fail("csv_lines: found another number of strings than lines");
         for (Py_ssize_t row = 0; row < count; row++) {
             PyObject *text = PyTuple_GET_ITEM(cell->list, row);
             if (!PyBytes_CheckExact(text) || PyBytes_GET_SIZE(text) > PY_SSIZE_T_MAX / 2 - *most)

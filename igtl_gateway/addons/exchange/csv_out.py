@@ -52,9 +52,9 @@ from igtl_gateway.addon.streams import (
 from igtl_gateway.addon.untrusted import MessageDecoder
 from igtl_gateway.addon.writing import open_text
 from igtl_gateway.addons.exchange.account import ExportAccount
+from igtl_gateway.addons.exchange.chosen_rows import ChosenRows, StreamMessages
 from igtl_gateway.addons.exchange.folder import FileNames, Folder, new_folder
 from igtl_gateway.addons.exchange.selection import IGTL_KINDS, REPEATED, Recording
-from igtl_gateway.addons.exchange.stream_rows import ChosenRows, StreamRows
 
 #: Files that are open at the same time; a usual session has a few dozen streams.
 _MAX_FILES = 500
@@ -104,7 +104,7 @@ class _Export:
         self._names, self._links, self._read = FileNames(recording.channels), _Links(), _RowReader(recording)
         self._tables: dict[str, _Table] = {}
 
-    def write(self, streams: Sequence[StreamRows]) -> None:
+    def write(self, streams: Sequence[StreamMessages]) -> None:
         """Write the next messages of some streams, of each in order."""
         if len(self._tables) + len(streams) > _MAX_FILES:
             # which of the new ones get a file depends on the order of all messages
@@ -130,7 +130,7 @@ class _Export:
                 "spreadsheet programs interpret them as formulas; import these columns as text"
             )
 
-    def _write_one(self, stream: StreamRows, at: int) -> None:
+    def _write_one(self, stream: StreamMessages, at: int) -> None:
         account_row = self._account.stream(stream.kind, stream.channel, stream.type)
         if stream.repeated[at]:
             account_row.leave_out(REPEATED)
@@ -158,7 +158,7 @@ class _Export:
         table.write(columns, entry, lines)
         account_row.taken += 1
 
-    def _write_all(self, stream: StreamRows) -> bool:
+    def _write_all(self, stream: StreamMessages) -> bool:
         """Write the messages of a stream at once; False if that is not possible, and nothing is written."""
         count = len(stream)
         if why := self._read.why_none(stream):
@@ -205,7 +205,7 @@ class _Links:
             self._several.add(entry.channel)
         return entry.channel in self._several
 
-    def differ_from(self, stream: StreamRows) -> int | None:
+    def differ_from(self, stream: StreamMessages) -> int | None:
         """Return the first of some messages from which on a second peer has sent their stream, or their number.
 
         None if some have no link.
@@ -219,7 +219,7 @@ class _Links:
         others = stream.links != self._first.get(stream.channel, stream.links[0])
         return int(np.argmax(others)) if others.any() else len(stream)
 
-    def see(self, stream: StreamRows) -> None:
+    def see(self, stream: StreamMessages) -> None:
         """Take notice of messages of which all have a link."""
         if stream.kind is Kind.IGTL_IN:
             first = self._first.setdefault(stream.channel, int(stream.links[0]))
@@ -264,7 +264,7 @@ class _Table:
             row = [cells.get(name, "") for name in columns]
             self._writer.writerow([self._text(cell) if isinstance(cell, str) else cell for cell in row])
 
-    def write_lines(self, columns: dict[str, None], stream: StreamRows, cells: NamedCells, first: int) -> None:
+    def write_lines(self, columns: dict[str, None], stream: StreamMessages, cells: NamedCells, first: int) -> None:
         """Write a line for each of some messages.
 
         Args:
@@ -328,7 +328,7 @@ class _Table:
             whole.unlink(missing_ok=True)
 
 
-def _has_large(stream: StreamRows) -> bool:
+def _has_large(stream: StreamMessages) -> bool:
     return bool((stream.rows.ends - stream.rows.begins > _MAX_BYTES).any())
 
 
@@ -340,7 +340,7 @@ class _RowReader:
         self._units, self._acceptance = recorded_units(recording), recorded_acceptance(recording)
         self._decoder = MessageDecoder(lambda ros_type: definitions.get(ros_type, ""))
 
-    def why_none(self, stream: StreamRows) -> str:
+    def why_none(self, stream: StreamMessages) -> str:
         """Return why none of some messages fits in a table, without decoding them; ``""`` if one may."""
         if _has_large(stream):
             return ""
@@ -348,7 +348,7 @@ class _RowReader:
             return _BULKY_TEXT if stream.type in BULKY else ""
         return "" if self._definitions.get(stream.type) else _UNDEFINED_TEXT
 
-    def cells(self, stream: StreamRows) -> NamedCells | None:
+    def cells(self, stream: StreamMessages) -> NamedCells | None:
         """Return the cells of all messages, each of which is one row; None if they have to be decoded one by one."""
         block = stream.block()
         if block is None or _has_large(stream):
@@ -376,7 +376,7 @@ class _RowReader:
             found |= more
         return found if len(found) <= MAX_COLUMNS else None
 
-    def _columns(self, stream: StreamRows, block: MessageBlock) -> list[Column]:
+    def _columns(self, stream: StreamMessages, block: MessageBlock) -> list[Column]:
         """The fields of all messages.  Raises NotColumns, and the errors of the decoders."""
         if stream.kind not in IGTL_KINDS:
             return ros_columns(block, self._decoder.store(stream.type).fielddefs, stream.type)

@@ -38,7 +38,7 @@ _MORE = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StreamRows:
+class StreamMessages:
     """Some messages of one stream, in order.
 
     Attributes:
@@ -97,7 +97,7 @@ class ChosenRows:
         self._forms = VersionFilter()
         self._cause: Head | None = None
 
-    def __iter__(self) -> Iterator[list[StreamRows]]:
+    def __iter__(self) -> Iterator[list[StreamMessages]]:
         """Yield the streams of some messages, in the order of their first ones.  Raises as ``SessionFile.entries``."""
         for rows in self._rows():
             self._facts.learn(self._heads)
@@ -126,10 +126,10 @@ class ChosenRows:
 
         return rows_of_entries(map(corrected, self._recording.entries()), self._heads)
 
-    def _part(self, rows: Rows, part: Array, repeated: Array) -> StreamRows:
+    def _part(self, rows: Rows, part: Array, repeated: Array) -> StreamMessages:
         head = self._heads.known[rows.heads[part[0]]]
         links = self._facts.links[rows.heads[part]]
-        return StreamRows(
+        return StreamMessages(
             head.kind, head.channel, head.type, rows.where(part), repeated[part], part, links, self._heads
         )
 

@@ -170,8 +170,7 @@ def session(rng: random.Random, count: int) -> list[Entry]:
         source_ns = rng.choice((0, now - 5))
         draw = rng.randrange(10)
         if draw == 0:
-            kind = rng.choice((Kind.NOTE, Kind.EDGE_NOTE, Kind.LINK))
-            entries.append(replace(samples.note(1, kind), stamp_ns=now))
+            entries.append(replace(samples.note(1, rng.choice((Kind.NOTE, Kind.EDGE_NOTE, Kind.LINK))), stamp_ns=now))
         elif draw < 6:
             kind, device, data = peer_message(rng, damage)
             way, links = rng.choice(
