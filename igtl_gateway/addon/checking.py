@@ -11,7 +11,11 @@ if TYPE_CHECKING:
     from igtl_gateway.app.sealing import SealVerification as SealVerification
     from igtl_gateway.app.sealing import verify_seal as verify_seal
     from igtl_gateway.app.verification import IMPORTED as IMPORTED
+    from igtl_gateway.app.verification import Verification as Verification
+    from igtl_gateway.app.verification import recorded_by as recorded_by
+    from igtl_gateway.app.verification import segments_of as segments_of
     from igtl_gateway.app.verification import verify_recording as verify_recording
+    from igtl_gateway.app.verification import verify_segment_of as verify_segment_of
     from igtl_gateway.app.verification import verify_session as verify_session
     from igtl_gateway.doctor.report import DoctorReport as DoctorReport
     from igtl_gateway.doctor.rules import RULES as RULES
@@ -31,6 +35,10 @@ if TYPE_CHECKING:
     from igtl_gateway.replay.diff import DiffInput as DiffInput
     from igtl_gateway.replay.diff import StreamDiff as StreamDiff
     from igtl_gateway.replay.diff import diff as diff
+    from igtl_gateway.replay.segments import Segment as Segment
+    from igtl_gateway.replay.segments import SegmentResult as SegmentResult
+    from igtl_gateway.replay.segments import verify_in_segments as verify_in_segments
+    from igtl_gateway.replay.verify import VerifyReport as VerifyReport
 
 #: Names that are others there; the rest of the group is above.
 __all__ = ["ledger_gaps", "observe_entries"]
@@ -38,7 +46,12 @@ __all__ = ["ledger_gaps", "observe_entries"]
 HOMES: Homes = (
     # The gateway: inputs of a session to its outputs
     ("gateway", "Session make_core"),
-    ("app.verification", "IMPORTED verify_recording verify_session"),
+    (
+        "app.verification",
+        "IMPORTED Verification recorded_by segments_of verify_recording verify_segment_of verify_session",
+    ),
+    ("replay.segments", "Segment SegmentResult verify_in_segments"),
+    ("replay.verify", "VerifyReport"),
     # Differences of messages and of recordings
     ("replay.compare", "Delta EXACT ElementArray LeafDecoder Tolerance Undecodable compare_values first_byte"),
     ("replay.diff", "DiffInput StreamDiff diff"),

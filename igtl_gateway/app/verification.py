@@ -120,6 +120,71 @@ def verify_session(
     file: SessionFile, config_path: Path | None = None, *, reference: bool = False, workers: int = 1
 ) -> Verification:
     """Verify an open recording; see `verify_recording`."""
+    chosen = _Chosen.of(file, config_path)
+    report = _in_segments(file, chosen, reference, workers) if workers > 1 else None
+    if report is None and not reference:
+        report = _recheck(file, chosen)
+    if report is None or not report.good:
+        report = verify(file.entries(), chosen.config, chosen.losses, before=file.prologue(), decoder=chosen.decoder)
+    counts = {each.name: getattr(report, each.name) for each in fields(VerifyReport)}
+    counts["differences"] = tuple(report.differences)
+    config_name = str(config_path) if config_path else RECORDED
+    absent = tuple(absent_sources(file, chosen.config)) if config_path else ()
+    return Verification(
+        file.path,
+        recorded_by(file),
+        __version__,
+        config_name,
+        **counts,
+        damaged_indexes=file.damaged_indexes(),
+        absent=absent,
+    )
+
+
+def recorded_by(file: SessionFile) -> str:
+    """Return the version of igtl-gateway that recorded a session; "" = unknown."""
+    return file.session.get(_VERSION, "")
+
+
+def segments_of(file: SessionFile, most: int) -> list[Segment]:
+    """Return segments of a recording, for `verify_segment_of` and `verify_in_segments`; none: it is verified as one.
+
+    Raises as `verify_recording`.
+    """
+    return plan(file, _Chosen.of(file).losses, most)
+
+
+def verify_segment_of(file: SessionFile, segment: Segment) -> SegmentResult | None:
+    """Verify a segment of a recording; None where only the whole can be verified.  Raises as `verify_recording`."""
+    return _Chosen.of(file).verified(file, segment, reference=False)
+
+
+@dataclass(frozen=True, slots=True)
+class _Chosen:
+    """What a recording is verified with."""
+
+    config: Config
+    losses: DeclaredLosses
+    decoder: LeafDecoder
+
+    @classmethod
+    def of(cls, file: SessionFile, config_path: Path | None = None) -> _Chosen:
+        """Raises UnsupportedRecording for other files than recordings, ConfigError."""
+        _check(file)
+        config = _config(file.path, config_path, file, recorded_by(file))
+        decoder = LeafDecoder(file.definitions, units_of(config, file))
+        return cls(config, DeclaredLosses.of(file.session, file.ledger), decoder)
+
+    def verified(self, file: SessionFile, segment: Segment, *, reference: bool) -> SegmentResult | None:
+        """The result of a segment; None where only the whole can be verified."""
+        compiles = not reference and can_recheck(self.config)
+        try:
+            return verify_segment(file, segment, self.config, self.losses, self.decoder, compiles=compiles)
+        except Unfit:
+            return None
+
+
+def _check(file: SessionFile) -> None:
     path = file.path
     if file.merge:
         raise UnsupportedRecording(f"{path}: found a merged session, expected a part: {path / file.merge.names[0]}")
@@ -130,40 +195,20 @@ def verify_session(
             f"{path}: found an import ({file.session[IMPORTED]}), expected a recording of the gateway: "
             "it has no outputs; `replay --through-gateway` computes them"
         )
-    recorded_by = file.session.get(_VERSION, "")
-    config = _config(path, config_path, file, recorded_by)
-    decoder = LeafDecoder(file.definitions, units_of(config, file))
-    losses = DeclaredLosses.of(file.session, file.ledger)
-    report = _in_segments(file, config, losses, decoder, reference, workers) if workers > 1 else None
-    if report is None and not reference:
-        report = _recheck(file, config, losses, decoder)
-    if report is None or not report.good:
-        report = verify(file.entries(), config, losses, before=file.prologue(), decoder=decoder)
-    counts = {each.name: getattr(report, each.name) for each in fields(VerifyReport)}
-    counts["differences"] = tuple(report.differences)
-    config_name = str(config_path) if config_path else RECORDED
-    absent = tuple(absent_sources(file, config)) if config_path else ()
-    return Verification(
-        path, recorded_by, __version__, config_name, **counts, damaged_indexes=file.damaged_indexes(), absent=absent
-    )
 
 
-def _in_segments(
-    file: SessionFile, config: Config, losses: DeclaredLosses, decoder: LeafDecoder, reference: bool, workers: int
-) -> VerifyReport | None:
+def _in_segments(file: SessionFile, chosen: _Chosen, reference: bool, workers: int) -> VerifyReport | None:
     """The result of segments in processes; None: the recording has to be verified as a whole."""
     memory = free_memory()
     workers = workers if memory is None else min(workers, memory // _MEMORY_OF_WORKER)
     if workers < 2 or not can_fork():
         return None
-    compiles = not reference and can_recheck(config)
-
     count = workers * max(1, min(_MOST_EACH, file.entry_count // (workers * _ENTRIES_EACH)))
 
     def verified(segment: Segment) -> SegmentResult | None:
-        with suppress(GatewayError, OSError, MemoryError, Unfit), cpu_time.bounded():
+        with suppress(GatewayError, OSError, MemoryError), cpu_time.bounded():
             with SessionFile.open(file.path) as opened:  # with a place in the file of its own
-                return verify_segment(opened, segment, config, losses, decoder, compiles=compiles)
+                return chosen.verified(opened, segment, reference=reference)
         return None
 
     def run(segments: Sequence[Segment]) -> list[SegmentResult | None]:
@@ -175,20 +220,21 @@ def _in_segments(
         return [reply and SegmentResult(**reply) for reply in replies]
 
     try:
-        segments = plan(file, losses, count)
+        segments = plan(file, chosen.losses, count)
     except (GatewayError, OSError):  # as the whole says
         return None
     return verify_in_segments(segments, run, file.entry_count) if segments else None
 
 
-def _recheck(file: SessionFile, config: Config, losses: DeclaredLosses, decoder: LeafDecoder) -> VerifyReport | None:
+def _recheck(file: SessionFile, chosen: _Chosen) -> VerifyReport | None:
     """The result with compiled conversions, whose differences are not all certain; None: they cannot be used."""
-    if not can_recheck(config):
+    if not can_recheck(chosen.config):
         return None
     try:
         columns = file.columns()
     except Unfit:
         return None
+    config, losses, decoder = chosen.config, chosen.losses, chosen.decoder
     return recheck(columns, config, losses, counts=message_counts(file), before=file.prologue(), decoder=decoder)
 
 

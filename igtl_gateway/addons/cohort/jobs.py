@@ -28,8 +28,14 @@ from igtl_gateway.addon.checking import (
     RULES,
     ContentSummary,
     DoctorReport,
+    Segment,
+    Verification,
+    VerifyReport,
     ledger_gaps,
     observe_entries,
+    recorded_by,
+    segments_of,
+    verify_segment_of,
     verify_session,
 )
 from igtl_gateway.addon.reading import Kind, SessionFile, layout, marks_of, named
@@ -53,6 +59,8 @@ if TYPE_CHECKING:
 
 Rows = dict[str, list["Row"]]
 
+#: Settings of `verify`, of tasks that are not the whole file: most segments, to plan them; or one of them.
+SEGMENTS, SEGMENT = "segments", "segment"
 #: Rows of one table that one file may have, and characters of one text.
 MOST_ROWS = 20_000
 _LONGEST = 2_000
@@ -96,7 +104,7 @@ def run_job(job: Mapping[str, Any]) -> dict[str, Any]:
     status, error = OK, ""
     try:
         with limits.limits_in_force(limits.parse_limits(list(job["limits"]))), cpu_time.bounded():
-            if not is_url(job["name"]):
+            if not is_url(job["name"]) and SEGMENT not in job["settings"]:
                 reply["content"] = content_of(Path(job["name"]))
                 if job["content"] and reply["content"] == job["content"]:
                     return reply | {"status": UNCHANGED}
@@ -266,11 +274,22 @@ def _damaged(reason: str) -> Rows:
 
 
 def _verify(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
+    if most := settings.get(SEGMENTS):
+        plan = {"segments": [each.to_dict() for each in segments_of(file, most)], "entries": file.entry_count}
+        return {SEGMENTS: [plan | {"recorded_by": recorded_by(file)}]}
+    if segment := settings.get(SEGMENT):
+        result = verify_segment_of(file, Segment.from_dict(segment))
+        return {SEGMENT: [result.to_dict()]} if result else {}
     found = verify_session(file)
+    return {"verifications": [verification_row(found, found.recorded_by)]}
+
+
+def verification_row(found: Verification | VerifyReport, recorder: str) -> Row:
+    """Return the row of the result of a file, which the version ``recorder`` has recorded."""
     first = next(iter(found.firsts.values()), None)
-    names = ("good", "recorded_by", "inputs", "outputs", "equal", "differing", "lost", "missing", "orphans", "late")
-    row = {name: getattr(found, name) for name in names}
-    return {"verifications": [row | {"first_difference": None if first is None else str(first)[:_LONGEST]}]}
+    names = ("good", "inputs", "outputs", "equal", "differing", "lost", "missing", "orphans", "late")
+    row = {name: getattr(found, name) for name in names} | {"recorded_by": recorder}
+    return row | {"first_difference": None if first is None else str(first)[:_LONGEST]}
 
 
 def _review(file: SessionFile, settings: Mapping[str, Any]) -> Rows:

@@ -5,13 +5,28 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 from igtl_gateway.addons.cohort.sources import Located
 
 Reply = dict[str, Any]
-#: A file, and the SHA-256 of its content at the last time.
-KnownFile = tuple[Located, str]
+
+
+class KnownFile(NamedTuple):
+    """A file.
+
+    Attributes:
+        file: where it is.
+        content: the SHA-256 of its content at the last time.
+        part: settings of a task that is not the whole file.
+    """
+
+    file: Located
+    content: str
+    part: Mapping[str, Any] = MappingProxyType({})
+
+
 #: Does the tasks of files, and yields each with its reply.
 Runner = Callable[["RunSettings", Sequence[KnownFile]], Iterator[tuple[KnownFile, Reply]]]
 

@@ -14,6 +14,7 @@ from igtl_gateway.addons.cohort import ends
 from igtl_gateway.addons.cohort.results import Results
 from igtl_gateway.addons.cohort.run import KnownFile, Reply, Runner, RunPlace, RunSettings
 from igtl_gateway.addons.cohort.scheduler import cluster
+from igtl_gateway.addons.cohort.segments import in_segments, is_long
 from igtl_gateway.addons.cohort.sources import Located, digest
 from igtl_gateway.addons.cohort.task import Programs, failed, job_of
 
@@ -90,9 +91,9 @@ def run_cohort(
                     summary.before += 1
                     summary.ends_before[row["status"]] += 1
                     continue
-                todo.append((each, row["content"] or ""))
+                todo.append(KnownFile(each, row["content"] or ""))
             else:
-                todo.append((each, ""))
+                todo.append(KnownFile(each, ""))
         progress(summary)
         if todo:
             _do(work, todo, known, results, where, summary, progress)
@@ -123,7 +124,7 @@ def _do(
 
     try:
         with closing(_replies(work, todo, where)) as replies:
-            for (file, _), reply in replies:
+            for (file, _, _), reply in replies:
                 if reply["status"] == ends.UNCHANGED:
                     rows.setdefault("tasks", []).append(known[file.shown] | {"mark": file.mark})
                     summary.ends_before[known[file.shown]["status"]] += 1
@@ -163,9 +164,21 @@ def _replies(
     work: RunSettings, todo: Sequence[KnownFile], where: RunPlace
 ) -> Generator[tuple[KnownFile, Reply], None, None]:
     """Yield each file with its reply, as they end."""
-    with cluster(where) if where.scheduler else _here(min(where.workers, len(todo))) as do:
+    with (
+        cluster(where)
+        if where.scheduler
+        else _here(where.workers if any(is_long(work, each) for each in todo) else min(where.workers, len(todo))) as do
+    ):
         again = []
-        for item, reply in do(work, todo):
+        whole = []
+        for item in todo:
+            is_cut = is_long(work, item) and (where.scheduler or len(todo) < where.workers)
+            reply = in_segments(work, item, do) if is_cut else None
+            if reply is None:
+                whole.append(item)
+            else:
+                yield item, reply
+        for item, reply in do(work, whole):
             if reply["status"] == ends.KILLED:
                 again.append(item)
             else:

@@ -34,7 +34,10 @@ def cluster(where: RunPlace) -> Iterator[Runner]:
 
     def do(work: RunSettings, todo: Sequence[KnownFile]) -> Iterator[tuple[KnownFile, Reply]]:
         moment = str(SystemClock().utc_ns())  # Dask answers a key that it knows from memory
-        keys = [f"igtl-{work.verb}-{digest(file.name, file.mark, work.text, moment)}" for file, _ in todo]
+        keys = [
+            f"igtl-{work.verb}-{digest(file.name, file.mark, work.text, str(dict(part)), moment)}"
+            for file, _, part in todo
+        ]
         jobs = [job_of(work, item) for item in todo]
         found = client.map(run_task, jobs, memory=work.memory, timeout_s=work.timeout_s, key=keys)
         futures = dict(zip(found, todo, strict=True))

@@ -154,13 +154,13 @@ def run_task(job: Mapping[str, Any], memory: int, timeout_s: float) -> dict[str,
 
 def job_of(work: RunSettings, item: KnownFile) -> dict[str, Any]:
     """Return the job of a file."""
-    file, content = item
+    file, content, part = item
     return {
         "name": file.name,
         "size": file.size,
         "e_tag": file.e_tag,
         "verb": work.verb,
-        "settings": dict(work.settings),
+        "settings": {**work.settings, **part},
         "limits": list(work.limits),
         "content": content,
     }
