@@ -30,7 +30,6 @@ from igtl_gateway.record.sessionfile import facts, layout
 from igtl_gateway.record.sessionfile.added_marks import added_marks, marks_files
 from igtl_gateway.record.sessionfile.index import recover_hint
 from igtl_gateway.record.sessionfile.reader import PartSummary, SessionFile
-from igtl_gateway.record.sessionfile.seals import stated_seals
 from igtl_gateway.replay.content_figures import summary_of
 from igtl_gateway.replay.content_summary import ContentSummary, StreamSummary
 from igtl_gateway.replay.recorded_config import peer_units
@@ -165,7 +164,7 @@ def _facts(
         "session": file.session,
         "ledger": file.ledger,
         "gaps": gaps(file.ledger or {}),
-        "seal": _seal(path),
+        "seal": None if isinstance(file, SessionFile) and not file.is_sealed else _seal(path),
     }
 
 
@@ -218,6 +217,8 @@ def _seal(path: Path) -> dict[str, Any] | None:
     """Return what the files state about their seals; a part of a merged session has none."""
     if path.parent.is_file():
         return None
+    from igtl_gateway.record.sessionfile.seals import stated_seals  # here: few recordings are sealed
+
     stated = [stated_seals(file) for file in (sorted(path.glob("*.mcap")) if path.is_dir() else [path])]
     found = [each for each in stated if each]
     if not found:

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from igtl_gateway.cli.verbs import LABORATORY, available, own_verb
+from tests.places import FIXTURES
 
 #: Libraries and parts of the program that take longer to import than the help to print.
 HEAVY = (
@@ -36,3 +37,16 @@ def test_the_help_of_a_verb_imports_nothing_heavy(verb: str) -> None:
     found = modules_after(verb, "--help")
     assert "igtl_gateway.cli.options" in found
     assert sorted(found.intersection(HEAVY)) == []
+
+
+#: Parts of the program without a use for `info` of a recording that is neither damaged nor sealed nor merged.
+UNUSED_BY_INFO = (
+    *("igtl_gateway.gateway.dialogue.links", "igtl_gateway.gateway.guard", "igtl_gateway.gateway.to_igtl.tracking"),
+    *(f"igtl_gateway.record.sessionfile.{name}" for name in ("salvage", "sealing", "seals", "stream", "writer")),
+)
+
+
+def test_info_of_a_small_recording_imports_only_what_it_uses() -> None:
+    found = modules_after("info", str(FIXTURES / "acquisition.mcap"))
+    assert "igtl_gateway.record.sessionfile.reader" in found
+    assert sorted(found.intersection(UNUSED_BY_INFO)) == []

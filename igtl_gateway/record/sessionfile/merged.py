@@ -7,7 +7,6 @@ their numbers and times, and a digest states that nothing changed.  ``docs/refer
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import re
@@ -15,7 +14,7 @@ import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +29,9 @@ from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.chunk_columns import Columns, Row, interleaved
 from igtl_gateway.record.sessionfile.compression import compress
-from igtl_gateway.record.sessionfile.stream import McapStream
+
+if TYPE_CHECKING:
+    from igtl_gateway.record.sessionfile.stream import McapStream
 
 #: Metadata record of a merged session: one JSON object, see :data:`_MERGE`.
 MERGE_METADATA = "igtl_gateway.merge"
@@ -252,6 +253,8 @@ class Digest:
     """SHA-256 of what a part contains: its messages, with numbers and times, and what describes them."""
 
     def __init__(self) -> None:
+        import hashlib  # here: most files are not merged
+
         self._hash = hashlib.sha256()
         self._channels = ChannelNumbers(self._channel)
         self._count = 0
@@ -372,6 +375,8 @@ def extract_part(
     part = next((each for each in merge.facts["parts"] if each["name"] == name), None)
     if part is None:
         raise UnsupportedRecording(f"{path}/{name}: found no part {name!r}, expected one of {', '.join(merge.names)}")
+    from igtl_gateway.record.sessionfile.stream import McapStream  # here: most readers write nothing
+
     digest = Digest()
     mcap = McapStream(out, compression="lz4")
     mcap.start(part["profile"], part["library"])

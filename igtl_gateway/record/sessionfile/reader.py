@@ -389,6 +389,11 @@ class SessionFile:
         return self._metadata(layout.FIGURES_METADATA)
 
     @property
+    def is_sealed(self) -> bool:
+        """Whether the index names a seal."""
+        return any(place.name == layout.SEAL_METADATA for place in self._index.metadata)
+
+    @property
     def most_bytes(self) -> int:
         """More bytes than all messages have together."""
         return sum(chunk.size for chunk in self._index.chunks)
@@ -627,6 +632,7 @@ class SessionParts(SessionFile):
         skipped: list[SkippedChannel] = []
         self.definitions, self._definitions = {}, FileDefinitions()
         self.entry_count = self.start_ns = self.end_ns = self._most_bytes = 0
+        self._is_sealed = False
         shared: dict[str, str] = {}  # session metadata of all parts
         own = (layout.PART_KEY, layout.PREVIOUS_KEY)
         for path in sorted(part_files(folder), key=Path.is_symlink):
@@ -663,6 +669,7 @@ class SessionParts(SessionFile):
                 self._definitions.known |= part._definitions.known
                 self.entry_count += part.entry_count
                 self._most_bytes += part.most_bytes
+                self._is_sealed = self._is_sealed or part.is_sealed
         if not found:
             raise UnsupportedRecording(f"{folder}: found a directory, expected the .mcap file in it")
         with SessionFile.open(found[min(found)].path) as first:  # without one before it if the recording waited
@@ -781,6 +788,11 @@ class SessionParts(SessionFile):
         """Those of the last part."""
         with SessionFile.open(self.parts[-1].path) as part:
             return part.figures()
+
+    @property
+    def is_sealed(self) -> bool:
+        """As SessionFile.is_sealed, of any part."""
+        return self._is_sealed
 
     @property
     def most_bytes(self) -> int:

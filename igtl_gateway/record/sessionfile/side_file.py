@@ -11,10 +11,13 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.new_file import write_text
-from igtl_gateway.record.sessionfile.stream import McapStream
+
+if TYPE_CHECKING:
+    from igtl_gateway.record.sessionfile.stream import McapStream
 
 SIDE_FILE = "metadata.yaml"
 
