@@ -36,7 +36,7 @@ class TrackedMoment:
 
     Attributes:
         message: with the poses of its stamp.
-        stamps: tool → stamp of its pose, UTC ns; without tools that do not move.
+        stamps: tool → stamp of its pose, UTC ns; tools that do not move are in it only if none does.
     """
 
     message: OutboundMessage

@@ -101,14 +101,15 @@ def choose(
     own = found.running_bytes + sum(each.size for each in running)
     others = found.open_bytes - found.running_bytes + sum(each.size for each in found.closed if each not in running)
     most_others = rule.size - min(own, rule.size // 2)
-    most_own = rule.size - min(others, most_others)
-    choices: list[Choice] = []
+    choices: dict[StoredRecording, Choice] = {}
     broken: set[Path] = set()  # folders in which a part is kept: the parts behind it are kept, too
-    for time_ns, each in _by_age(found.closed, now_ns):
+    by_age = _by_age(found.closed, now_ns)
+    # the session that runs has all that the others leave, so these give way first
+    for time_ns, each in sorted(by_age, key=lambda row: row[1] in running):
         reason = ""
         if rule.age_s and now_ns is not None and time_ns and now_ns - time_ns > rule.age_s * NS_PER_S:
             reason = f"closed {(now_ns - time_ns) / NS_PER_S / 86_400:.1f} d ago"
-        elif rule.size and (own > most_own if each in running else others > most_others):
+        elif rule.size and (own > rule.size - min(others, most_others) if each in running else others > most_others):
             reason = f"all are {own + others:,} bytes"
         kept = hindrance(each) if reason else ""
         if reason and not kept and each.part >= 0 and each.parent in broken:
@@ -116,12 +117,12 @@ def choose(
         if each.part >= 0 and (kept or not reason):
             broken.add(each.parent)
         if reason:
-            choices.append(Choice(each, reason, kept))
+            choices[each] = Choice(each, reason, kept)
             if each in running:
                 own -= 0 if kept else each.size
             else:
                 others -= 0 if kept else each.size
-    return choices
+    return [choices[each] for _, each in by_age if each in choices]
 
 
 def _by_age(recordings: Iterable[StoredRecording], now_ns: int | None) -> list[tuple[int, StoredRecording]]:

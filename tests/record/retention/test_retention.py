@@ -281,6 +281,8 @@ def stored(name: str, size: int, days: float, part: int = -1) -> StoredRecording
         ((10, 40), (), 5_000, []),  # an open file cannot give way, and others do not
         ((40, 40), (), 5_000, ["old0.mcap"]),  # more than the other half
         ((), (60, 60), 10, ["run/run_0.mcap"]),  # alone it has all
+        ((60,), (30, 30), 0, ["old0.mcap"]),  # both beyond half: it has what the older one leaves
+        ((60,), (60, 60), 10, ["old0.mcap", "run/run_0.mcap"]),
     ],
 )
 def test_a_session_that_runs_takes_half_of_the_size_from_others_at_most(
@@ -294,6 +296,23 @@ def test_a_session_that_runs_takes_half_of_the_size_from_others_at_most(
     for found, is_running in ((by_thread, lambda each: each.part >= 0), (by_lock, lambda _each: False)):
         choices = choose(found, rule, NOW_NS, lambda _recording: "", is_running)
         assert [each.recording.name for each in choices if not each.kept] == deleted
+
+
+def test_no_more_is_deleted_than_necessary_whatever_runs() -> None:
+    """The youngest that was deleted of each kind would not have fitted."""
+    generator = random.Random(23)
+    for _ in range(400):
+        days = generator.sample(range(1, 100), 10)
+        rows = [stored(f"{number}.mcap", generator.randrange(1, 60), day) for number, day in enumerate(days)]
+        own = set(rows[: generator.randrange(0, 10)])
+        size = generator.randrange(1, 300)
+        chosen = choose(StoredFiles(rows), RetentionRule("", size=size), NOW_NS, lambda _: "", own.__contains__)
+        gone = [each.recording for each in chosen]
+        left = sum(each.size for each in rows if each not in gone)
+        assert left <= size
+        assert gone == sorted(gone, key=lambda each: each.modified_ns)
+        if last := [each for each in gone if each in own][-1:]:
+            assert left + last[0].size > size
 
 
 def test_snapshots_and_parts_of_a_session_that_runs_leave_the_older_recordings(tmp_path: Path) -> None:
