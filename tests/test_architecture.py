@@ -162,6 +162,7 @@ HOMES: dict[str, tuple[str, ...]] = {
         "base.untrusted.parquet_file",
         "addons.lerobot",
         "addons.cohort",
+        "addons.view.arrays",
         "addons.view.columns",
     ),
     "pcapng": ("addons.exchange.pcap_file",),

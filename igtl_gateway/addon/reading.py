@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile.columns import EntryColumns as EntryColumns
     from igtl_gateway.record.sessionfile.columns import Stream as EntryStream
     from igtl_gateway.record.sessionfile.columns import Unfit as Unfit
+    from igtl_gateway.record.sessionfile.columns import in_larger_blocks as in_larger_blocks
     from igtl_gateway.record.sessionfile.index import read_index as read_index
     from igtl_gateway.record.sessionfile.index import read_record as read_record
     from igtl_gateway.record.sessionfile.index import recover_hint as recover_hint
@@ -90,7 +91,7 @@ HOMES: Homes = (
     ("record.sessionfile.reader", "SessionFile"),
     ("record.sessionfile", "layout"),
     ("record.sessionfile.bulk", "MessageBlock block_of check_time gathered"),
-    ("record.sessionfile.columns", "EntryColumns EntryStream=Stream Unfit"),
+    ("record.sessionfile.columns", "EntryColumns EntryStream=Stream Unfit in_larger_blocks"),
     ("record.sessionfile.stream_rows", "StreamName StreamNumbers StreamRows"),
     ("record.sessionfile.ranges", "RangeFile named"),
     ("gateway.log.entry", "Entry Kind"),

@@ -188,13 +188,17 @@ class Canvas:
 
     def extend_box(self, place: Sequence[Any]) -> None:
         """Extend the bounding box by one position: faster than ``box`` for streams of poses; columns for many."""
-        if self.pen.rows:
-            places = np.stack(place, axis=1)
-            places = places[(np.abs(places) < _FAR_M).all(axis=1)]
-            if len(places):
-                self._extend(places.min(axis=0).tolist(), places.max(axis=0).tolist())
-        elif max(map(abs, place)) < _FAR_M:
-            self._extend(place, place)
+        if self.pen.rows is None:
+            least = most = place
+        else:
+            least, most = [float(each.min()) for each in place], [float(each.max()) for each in place]
+        if max(map(abs, (*least, *most))) < _FAR_M:
+            self._extend(least, most)
+        elif self.pen.rows is not None:
+            near = np.stack(place, axis=1)
+            near = near[(np.abs(near) < _FAR_M).all(axis=1)]
+            if len(near):
+                self._extend(near.min(axis=0).tolist(), near.max(axis=0).tolist())
 
     def _extend(self, least: Xyz, most: Xyz) -> None:
         low, high = self.shown.low, self.shown.high
@@ -273,15 +277,15 @@ class Canvas:
             stamps, places = np.array([pen.stamp_ns]), np.array([place], np.float32)
         else:
             stamps, places = rows.stamps, np.stack(place, axis=1)
-        part = _trail_of(child)
-        for row, line in trail.lines(frame, stamps, places):
-            if rows is not None:
-                pen.at_row(rows, row)
-            path = self._path(part)
-            pen.set_default_frame(path, frame)
-            pen.trail(path, frame, self.colour, line)
+        drawn, lines = trail.lines(frame, stamps, places)
+        if not drawn:
+            return
+        path = self._path(_trail_of(child))
+        pen.set_default_frame(path, frame)
         if rows is not None:
-            pen.at_rows(rows)
+            pen.at_rows(rows.where(np.array(drawn)))
+        pen.trail(path, frame, self.colour, lines)
+        pen.rows = rows
 
 
 def _trail_of(child: str) -> str:

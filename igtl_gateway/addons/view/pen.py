@@ -178,9 +178,9 @@ class Pen:
         """Add a row with the size of a message in bytes for the selection panel, without a drawing."""
         self._wait((path, "size"), SIZES, (), (size,))
 
-    def trail(self, path: str, frame: str, colour: int, places: Array) -> None:
-        """Add a row with a line through (n, 3) places in a frame, metres."""
-        self._wait((path, "trail"), LINES, (frame, colour), places)
+    def trail(self, path: str, frame: str, colour: int, lines: Sequence[Array]) -> None:
+        """Add a row for each line through (n, 3) places in a frame, metres."""
+        self._wait((path, "trail"), LINES, (frame, colour), lines if self.rows else lines[0])
 
     def series(self, path: str, times_ns: npt.NDArray[np.int64], values: npt.NDArray[np.float64]) -> None:
         """Send (N,) values at (N,) gateway times, UTC ns; those outside the time lines are left out."""
@@ -232,7 +232,8 @@ class Pen:
         if self.rows is None:
             collected.add((self.number, self.stamp_ns, self.source_ns), look, numbers)
         else:
-            collected.add_rows(self.rows, look, self._tabled(numbers, kind.dtype, len(self.rows)))
+            table = self._tabled(numbers, kind.dtype, len(self.rows)) if kind.dtype else numbers
+            collected.add_rows(self.rows, look, table)
         if collected.count >= kind.most:
             self._send(key[0], collected)
 

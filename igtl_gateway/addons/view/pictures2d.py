@@ -26,6 +26,7 @@ from igtl_gateway.addon.messages import (
 )
 from igtl_gateway.addon.reading import Buffer
 from igtl_gateway.addon.ros import CameraInfo, ColorTable, CompressedImage, CompressedVideo, Image, VideoFrame
+from igtl_gateway.addons.view.arrays import ColumnOf, image_of_pixels
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import span
 from igtl_gateway.addons.view.contents import PLACES
@@ -64,11 +65,11 @@ def draw_image(message: Image, canvas: Canvas) -> None:
     """sensor_msgs/Image."""
     canvas.shown.width, canvas.shown.height = message.width, message.height
     frame = canvas.frame(message.header.frame_id)
-    canvas.log(image_archetype(message, canvas), frame=f"{frame}/image" if frame in canvas.pen.cameras else "")
+    canvas.log(image_components(message, canvas), frame=f"{frame}/image" if frame in canvas.pen.cameras else "")
 
 
-def image_archetype(message: Image, canvas: Canvas) -> rr.Image:
-    """Return the archetype of an image.  Raises ConversionError for an unknown encoding."""
+def image_components(message: Image, canvas: Canvas) -> rr.AsComponents | list[ColumnOf]:
+    """Return the components of an image.  Raises ConversionError for an unknown encoding."""
     encoding = message.encoding.lower()
     if encoding in _PIXEL_FORMATS:
         return _subsampled(message, encoding)
@@ -93,21 +94,9 @@ def image_archetype(message: Image, canvas: Canvas) -> rr.Image:
     raise ConversionError(f"{message.TYPE}: found encoding {message.encoding!r}, expected one that can be drawn")
 
 
-def grey(pixels: Array) -> rr.Image:
+def grey(pixels: Array) -> list[ColumnOf]:
     """Draw one component; the viewer chooses the range of pixels with more than 8 bits."""
     return image_of_pixels(windowed(pixels) if pixels.dtype.kind == "i" else pixels, rr.ColorModel.L)
-
-
-def image_of_pixels(pixels: Array, model: rr.ColorModel) -> rr.Image:
-    """(height, width) or (height, width, channels) pixels; rerun guesses the wrong shape for single rows."""
-    height, width = pixels.shape[:2]
-    return rr.Image(
-        bytes=np.ascontiguousarray(pixels).tobytes(),
-        width=width,
-        height=height,
-        color_model=model,
-        datatype=pixels.dtype,
-    )
 
 
 def windowed(pixels: Array) -> Array:
@@ -131,7 +120,7 @@ def draw_compressed_image(message: CompressedImage, canvas: Canvas) -> None:
         canvas.log(rr.EncodedImage(contents=bytes(message.data), media_type=_MEDIA[coding.codec]))
 
 
-def _deep(message: CompressedImage, coding: Coding, canvas: Canvas) -> rr.Image:
+def _deep(message: CompressedImage, coding: Coding, canvas: Canvas) -> list[ColumnOf]:
     """Draw a picture of 16 bits: the viewer's own decoder knows neither its range nor its metres."""
     try:
         pixels = decoded_still(coding.codec, bytes(message.data[coding.start :]))

@@ -106,12 +106,10 @@ class RowsCanvas:
 
     def is_pose(self, pose: Sequence[Array]) -> bool:
         """As the canvas; Unlike if one is a pose and another is not."""
-        good, turned = np.ones(self._count, np.bool_), np.zeros(self._count, np.bool_)
-        for part in pose:
-            good &= np.abs(part) < HUGE
-        for part in pose[3:]:
-            turned |= part != 0
-        good &= turned
+        turn = pose[3:]
+        if all(part.min() > -HUGE and part.max() < HUGE for part in pose) and any((part != 0).all() for part in turn):
+            return True
+        good = np.all([np.abs(part) < HUGE for part in pose], axis=0) & np.any([part != 0 for part in turn], axis=0)
         if good.all() or not good.any():
             return bool(good[0])
         raise Unlike(good)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -14,7 +12,6 @@ Array = npt.NDArray[Any]
 NS_PER_MS = 1_000_000
 #: The length of a trail in time, the time between its points, and the time between two drawings.
 TRAIL_NS, STEP_NS, DRAW_NS = 5_000 * NS_PER_MS, 20 * NS_PER_MS, 100 * NS_PER_MS
-_ROOM = 2 * (TRAIL_NS // STEP_NS + 1)
 
 
 class Trail:
@@ -23,42 +20,45 @@ class Trail:
     def __init__(self) -> None:
         self._frame = ""
         self._drawn_ns = 0
-        self._times: deque[int] = deque()
-        self._places = np.empty((_ROOM, 3), np.float32)
-        self._end = 0  # of the places
+        self._stamps: Array = np.empty(0, np.int64)
+        self._places: Array = np.empty((0, 3), np.float32)
 
-    def lines(self, frame: str, stamps: Array, places: Array) -> Iterator[tuple[int, Array]]:
-        """Yield the lines to draw: the row that each is drawn at, and (k, 3) places in metres.
+    def lines(self, frame: str, stamps: Array, places: Array) -> tuple[list[int], list[Array]]:
+        """Return the lines to draw: the rows that they are drawn at, and (k, 3) places in metres.
 
         Args:
-            frame: of the places; in another frame a trail begins anew.
+            frame: of the places; in another frame a trail begins again.
             stamps: (n,) gateway times, UTC ns, ascending.
             places: (n, 3) metres.
         """
-        times = self._times
         if frame != self._frame:
-            times.clear()
             self._frame = frame
-        row = 0
-        while row < len(stamps):
-            if times and (next_ns := times[-1] + STEP_NS) > stamps[row]:
-                row += int(stamps[row:].searchsorted(next_ns))
-                continue
-            now_ns = int(stamps[row])
-            self._add(now_ns, places[row])
-            if now_ns - self._drawn_ns >= DRAW_NS and len(times) > 1:
-                self._drawn_ns = now_ns
-                yield row, self._places[self._end - len(times) : self._end].copy()
-            row += 1
+            self._stamps, self._places = self._stamps[:0], self._places[:0]
+        kept = len(self._stamps)
+        points = _apart(stamps, int(self._stamps[-1]) if kept else None, STEP_NS)
+        if not points:
+            return [], []
+        known = np.concatenate((self._stamps, stamps[points]))
+        way = np.concatenate((self._places, places[points].astype(np.float32)))
+        begins = known.searchsorted(known - TRAIL_NS)
+        long = np.flatnonzero(np.arange(len(known)) - begins > 0)
+        long = long[long >= kept]
+        drawn = long[_apart(known[long], self._drawn_ns, DRAW_NS)]
+        if len(drawn):
+            self._drawn_ns = int(known[drawn[-1]])
+        self._stamps, self._places = known[begins[-1] :], way[begins[-1] :]
+        rows = [points[each - kept] for each in drawn.tolist()]
+        return rows, [way[begin : end + 1] for begin, end in zip(begins[drawn].tolist(), drawn.tolist(), strict=True)]
 
-    def _add(self, now_ns: int, place: Array) -> None:
-        times = self._times
-        times.append(now_ns)
-        while now_ns - times[0] > TRAIL_NS:
-            times.popleft()
-        if self._end == _ROOM:
-            kept = len(times) - 1
-            self._places[:kept] = self._places[self._end - kept :]
-            self._end = kept
-        self._places[self._end] = place
-        self._end += 1
+
+def _apart(stamps: Array, after_ns: int | None, least_ns: int) -> list[int]:
+    """Return the first of some times (n,), ascending, after another one, and each next one, with this time between."""
+    if len(stamps) == 1:
+        return [0] if after_ns is None or stamps[0] - after_ns >= least_ns else []
+    following = stamps.searchsorted(stamps + least_ns).tolist()
+    row = 0 if after_ns is None else int(stamps.searchsorted(after_ns + least_ns))
+    found = []
+    while row < len(following):
+        found.append(row)
+        row = following[row]
+    return found

@@ -33,11 +33,9 @@ from igtl_gateway.addon.reading import (
     SessionFile,
     Unfit,
     config_to_run,
-    latched_before,
+    in_larger_blocks,
     marked_moment,
     marks_of,
-    open_recording,
-    through_gateway,
 )
 from igtl_gateway.addon.ros import PointCloud2
 from igtl_gateway.addon.settings import Config
@@ -62,6 +60,7 @@ if TYPE_CHECKING:
     from igtl_gateway.addons.view.shots import Shot
 
 _PROGRESS_EVERY = 1000
+_BLOCK_ENTRIES, _BLOCK_BYTES = 16_384, 2 << 20  #: of what is drawn at once
 _WAIT_S = 0.2
 
 
@@ -243,6 +242,7 @@ def _lag(options: argparse.Namespace, path: Path, view: SessionView) -> dict[str
     """Draw the lag between two streams, and return it for JSON."""
     if not options.sync:
         return None
+    from igtl_gateway.addon.reading import open_recording  # here: most views are of entries only
     from igtl_gateway.addons.sync.curves import lag_text  # here: view works without this add-on
     from igtl_gateway.addons.sync.lag import measure_lag
     from igtl_gateway.addons.sync.lags import movement
@@ -288,17 +288,22 @@ def _entries(file: SessionFile, config: Config) -> Iterator[Entry | EntryColumns
 
     If OpenIGTLink messages were not converted (the recording of a relay, an imported one), this version converts them.
     """
-    # what was latched before a part is there from its first moment on
-    for entry in latched_before(file, config):
-        yield replace(entry, stamp_ns=file.start_ns)
+    if file.prologue_file() is not None:
+        from igtl_gateway.addon.reading import latched_before  # here: few files are later parts
+
+        # what was latched before a part is there from its first moment on
+        for entry in latched_before(file, config):
+            yield replace(entry, stamp_ns=file.start_ns)
     stamps = RecordedStamps(file)
     if _is_converted(file):
         if not stamps:
             with suppress(Unfit):
-                yield from file.columns()
+                yield from in_larger_blocks(file.columns(), _BLOCK_ENTRIES, _BLOCK_BYTES)
                 return
         yield from (stamps.entry(entry) for entry in file.entries())
         return
+    from igtl_gateway.addon.reading import through_gateway  # here: most recordings are converted
+
     has_links = any(channel.count and channel.kind is Kind.LINK for channel in file.channels)
     converted = through_gateway(file.entries(), replace(config, relay=False), has_links=has_links)
     for number, entry in enumerate(converted, 1):

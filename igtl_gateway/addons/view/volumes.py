@@ -11,11 +11,12 @@ import rerun as rr
 from igtl_gateway.addon import ConversionError
 from igtl_gateway.addon.igtl import SCALARS
 from igtl_gateway.addon.ros import Volume
+from igtl_gateway.addons.view.arrays import ColumnOf, image_of_pixels, textured_surface
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import span
 from igtl_gateway.addons.view.contents import EntityKind
 from igtl_gateway.addons.view.legend import box_sides, picture_sides
-from igtl_gateway.addons.view.pictures2d import grey, image_of_pixels
+from igtl_gateway.addons.view.pictures2d import grey
 
 Array = npt.NDArray[Any]
 
@@ -80,7 +81,7 @@ def _dimensions(voxels: Array) -> list[str]:
     return names if voxels.shape[3] > 1 else names[:3]
 
 
-def _picture(pixels: Array) -> rr.Image:
+def _picture(pixels: Array) -> list[ColumnOf]:
     if pixels.shape[2] in _COLOUR:
         return image_of_pixels(eight_bits(pixels, None), rr.ColorModel.RGB)
     return grey(pixels[..., 0])
@@ -126,7 +127,7 @@ def _corner(message: Volume, indices: Array) -> Array:
 
 def _plane(
     message: Volume, voxels: Array, axis: int, index: int, window: tuple[float, float] | None, *, air: bool = False
-) -> rr.Mesh3D:
+) -> list[ColumnOf]:
     """Return the slice ``index`` across ``axis`` (0 i, 1 j, 2 k) at its pose, as a textured surface.
 
     Args:
@@ -142,12 +143,8 @@ def _plane(
         tiles = _CORNERS[None] * size
     corners = np.full((len(tiles) * 4, 3), index + 0.5)
     corners[:, _ACROSS[axis]] = tiles.reshape(-1, 2)
-    return rr.Mesh3D(
-        vertex_positions=_corner(message, corners).astype(np.float32),
-        triangle_indices=(np.arange(len(tiles))[:, None, None] * 4 + _QUAD).reshape(-1, 3).astype(np.uint32),
-        vertex_texcoords=(tiles.reshape(-1, 2) / size).astype(np.float32),
-        albedo_texture=texture,
-    )
+    triangles = (np.arange(len(tiles))[:, None, None] * 4 + _QUAD).reshape(-1, 3)
+    return textured_surface(_corner(message, corners), triangles, tiles.reshape(-1, 2) / size, texture)
 
 
 def _tiles(seen: Array) -> Array:

@@ -174,7 +174,7 @@ class EntryColumns:
         times: gateway time, UTC ns.
         publish_times: publish_time as it is in the file, ns: equals the time where the sender set no stamp.
         begins, ends: places of the payloads of the MCAP messages in ``data``, int64.
-        chunk: the chunk that they are of; None where chunks overlap.
+        chunk: the chunk that they are of; None where chunks overlap, or blocks are joined.
         complete: they are all messages of the chunk.
     """
 
@@ -251,6 +251,59 @@ class EntryColumns:
         sources = np.where(stamped, publish, publish.dtype.type(0))
         known = self.table.wire_heads.known
         return WireColumns(rows, begins, ends, flags & OUTGOING != 0, sources, heads, known)
+
+
+def in_larger_blocks(blocks: Iterable[EntryColumns], most: int, most_bytes: int) -> Iterator[EntryColumns]:
+    """Join the blocks of a file that follow each other: work that is done for each block is done less often.
+
+    Args:
+        blocks: what SessionFile.columns yields.
+        most, most_bytes: a block that has more entries or bytes is joined with none.
+
+    Raises what ``blocks`` raises, after what it has yielded.
+    """
+    waiting: list[EntryColumns] = []
+    try:
+        for block in blocks:
+            count, size = len(block), len(block.data)
+            if waiting and (
+                sum(map(len, waiting)) + count > most
+                or sum(len(each.data) for each in waiting) + size > most_bytes
+                or size > _LARGE_ENTRIES * count
+                or _dtypes(block) != _dtypes(waiting[0])
+            ):
+                yield _joined(waiting)
+                waiting = []
+            waiting.append(block)
+    except Exception:
+        if waiting:
+            yield _joined(waiting)
+        raise
+    if waiting:
+        yield _joined(waiting)
+
+
+#: Mean size of entries above which copying them is more work than their blocks.
+_LARGE_ENTRIES = 8192
+
+
+def _dtypes(block: EntryColumns) -> tuple[Any, Any]:
+    return block.times.dtype, block.publish_times.dtype
+
+
+def _joined(blocks: Sequence[EntryColumns]) -> EntryColumns:
+    if len(blocks) == 1:
+        return blocks[0]
+    columns = {
+        name: np.concatenate([getattr(block, name) for block in blocks])
+        for name in ("channels", "numbers", "times", "publish_times")
+    }
+    offsets = np.cumsum([0, *(len(block.data) for block in blocks[:-1])]).tolist()
+    for name in ("begins", "ends"):
+        places = [getattr(block, name) + offset for block, offset in zip(blocks, offsets, strict=True)]
+        columns[name] = np.concatenate(places)
+    data = b"".join(block.data for block in blocks)
+    return EntryColumns(data=data, **columns, chunk=None, complete=False, table=blocks[0].table)
 
 
 def is_wire(stream: Stream) -> bool:

@@ -31,7 +31,7 @@ from igtl_gateway.convert.igtl_msgs import Sensor, TrackedTool, TrackingData
 from igtl_gateway.convert.rosmsg import Header, String, TransformStamped
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
-from igtl_gateway.record.sessionfile.columns import Unfit
+from igtl_gateway.record.sessionfile.columns import Unfit, in_larger_blocks
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from tests.places import FIXTURES
@@ -53,7 +53,7 @@ def drawn(path: Path, out: Path, *, at_once: bool, **options: Any) -> tuple[Draw
     with SessionFile.open(path) as file:
         try:
             if at_once:
-                for columns in file.columns():
+                for columns in in_larger_blocks(file.columns(), 2_000, 1 << 22):
                     view.take_columns(columns)
             else:
                 for entry in file.entries():
