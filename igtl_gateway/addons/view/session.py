@@ -64,6 +64,8 @@ _RESERVED = frozenset((LOG.partition("/")[0], RATES.partition("/")[0], FRAMES, L
 _COLOURS = {Level.INFO: INFO, Level.WARN: WARN, Level.ERROR: ERROR}
 _DROP_WORDS = ("drop", "lost", "full", "missed", "left_out")
 
+#: Bytes of entries after which what was drawn is waited for.
+_UNWRITTEN = 16 << 20
 #: Forms of a topic that are kept.
 _MOST_FORMS = 16
 #: Messages that are drawn one by one, although they have one form: fewer cost as much at once.
@@ -134,6 +136,7 @@ class SessionView:
         self._last_number = 0
         self._inputs = 0
         self._learns = False  # the forms of what is drawn
+        self._unwritten = 0
         self._pen.static(DROPS, rr.SeriesPoints(markers=["cross"], names=["drops and gaps"]))
 
     @ieee_754
@@ -167,6 +170,10 @@ class SessionView:
             begin = self._take_block(Block.of(columns, self.seen.last_ns))
         for entry in columns.where(slice(begin, None)).entries():
             self.take(entry)
+        self._unwritten += len(columns.data)
+        if self._unwritten > _UNWRITTEN:  # rerun writes in a thread of its own, and waits for nothing
+            self._unwritten = 0
+            self._pen.recording.flush()
 
     @ieee_754
     def flush(self) -> None:

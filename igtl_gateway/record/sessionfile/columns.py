@@ -266,15 +266,19 @@ def in_larger_blocks(blocks: Iterable[EntryColumns], most: int, most_bytes: int)
     try:
         for block in blocks:
             count, size = len(block), len(block.data)
+            alone = size > _LARGE_ENTRIES * count
             if waiting and (
-                sum(map(len, waiting)) + count > most
+                alone
+                or sum(map(len, waiting)) + count > most
                 or sum(len(each.data) for each in waiting) + size > most_bytes
-                or size > _LARGE_ENTRIES * count
                 or _dtypes(block) != _dtypes(waiting[0])
             ):
                 yield _joined(waiting)
                 waiting = []
-            waiting.append(block)
+            if alone:
+                yield block
+            else:
+                waiting.append(block)
     except Exception:
         if waiting:
             yield _joined(waiting)
