@@ -259,6 +259,7 @@ UNMIRRORED = (
     "peers",
     "native/test_foreign.py",  # the native passage, on foreign bytes
     "native/test_kernel.py",  # the headers of native/kernel, in C
+    "native/test_memory.py",  # native/passage without memory
     "native/test_rooms.py",  # the headers of native/kernel and native/passage
     "native/test_states.py",  # native/passage/STATES.md
     "native/test_subscriptions.py",  # native/passage/_taking.h

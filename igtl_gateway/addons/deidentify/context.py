@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from igtl_gateway.addon import matches
@@ -64,7 +65,7 @@ class Context:
         if new != text:
             self.report.add("text")
         elif text:
-            self.report.left.setdefault(f"text of {self.stream_name(stream)}", "the profile keeps it")
+            self.report.left.setdefault(f"text of {self.stream_label(stream)}", "the profile keeps it")
         return new
 
     def patient_name(self, name: str) -> str:
@@ -89,7 +90,15 @@ class Context:
 
     def stream_name(self, stream: str) -> str:
         """Return the new name of a stream: of a topic, or of TYPE/device."""
-        if stream.startswith("/") or not stream:
-            return self.names.topic(stream)
-        kind, _, device = stream.partition("/")
-        return f"{kind}/{self.names.name(device)}"
+        return _of_stream(stream, self.names.name)
+
+    def stream_label(self, stream: str) -> str:
+        """As ``stream_name``, for the report: it counts as no replaced name."""
+        return _of_stream(stream, self.names.label)
+
+
+def _of_stream(stream: str, name: Callable[[str], str]) -> str:
+    if stream.startswith("/") or not stream:
+        return "/".join(map(name, stream.split("/")))
+    kind, _, device = stream.partition("/")
+    return f"{kind}/{name(device)}"

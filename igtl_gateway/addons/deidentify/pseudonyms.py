@@ -65,12 +65,17 @@ class Pseudonyms:
 
     def name(self, name: str) -> str:
         """Return the new name; ``AToB`` is replaced part by part.  Raises GatewayError for equal new names."""
+        new = self.label(name)
+        if new != name:
+            self.changed()
+        return new
+
+    def label(self, name: str) -> str:
+        """As ``name``, for a report about the session: it counts as no replaced name."""
         full = self.full.get(name, name)
         new = self._made.get(full)
         if new is None:
             new = self._made[full] = self._name(full)
-        if new != name:
-            self.changed()
         return new
 
     def topic(self, topic: str) -> str:

@@ -235,10 +235,11 @@ class _Run:
 
     def _stream_name(self, entry: Entry) -> str:
         """Return the new stream of a removed message; an unknown type of a peer may be any text."""
+        label = self._context.names.label
         if entry.kind is Kind.ROS_IN:
-            return self._context.names.topic(entry.channel)
+            return "/".join(map(label, entry.channel.split("/")))
         kind = entry.type if entry.type in BODIES else "(unknown type)"
-        return f"{kind}/{self._context.names.name(entry.channel.partition('/')[2])}"
+        return f"{kind}/{label(entry.channel.partition('/')[2])}"
 
     def _look(self) -> SeenNames:
         """Read the inputs once for the names in them."""

@@ -177,8 +177,18 @@ class Sender:
         """``take_unsent`` under the lock."""
         while self._native and not self._native.clear and (unsent := self._native.take_unsent()):
             data, sent, stream, keep = unsent
-            if not self._queue(QueuedMessage((data,), len(data), stream, keep), sent):
+            if not data:
+                self._lose(stream, sent)
+            elif not self._queue(QueuedMessage((data,), len(data), stream, keep), sent):
                 self.outbox.dropped[stream] += 1
+
+    def _lose(self, stream: str, sent: int) -> None:
+        """There was no memory for the rest of a message, of which ``sent`` bytes are sent; under the lock."""
+        self.outbox.dropped[stream] += 1
+        if sent:  # the peer takes what would follow for the rest
+            self._fail("there was no memory for the rest of a message")
+        else:
+            self._settle()
 
     def _settle(self) -> None:
         """Let the native passage send, or no more; under the lock."""
@@ -221,14 +231,18 @@ class Sender:
         except (BlockingIOError, InterruptedError):
             return 0
         except OSError as exc:
-            self.is_muted = True
-            if not self.peer_ended:
-                self.reason = f"sending failed: {exc.strerror or exc}"
-            self.outbox.clear()
-            # what the peer has sent before is still read, then the I/O thread finds the end and closes
-            with suppress(OSError):
-                self._sock.shutdown(socket.SHUT_RDWR)
+            self._fail(f"sending failed: {exc.strerror or exc}")
             return 0
+
+    def _fail(self, reason: str) -> None:
+        """Take no more messages, and close; under the lock."""
+        self.is_muted = True
+        if not self.peer_ended:
+            self.reason = reason
+        self.outbox.clear()
+        # what the peer has sent before is still read, then the I/O thread finds the end and closes
+        with suppress(OSError):
+            self._sock.shutdown(socket.SHUT_RDWR)
 
     # ── for the I/O thread ────────────────────────────────────────────────────────────────────────────────────
 

@@ -18,6 +18,7 @@ struct unsent {
     ssize_t size, sent;
     char *channel;
     char keep;
+    char is_spare; /* the link has its memory */
     struct unsent *next;
 };
 
@@ -65,6 +66,7 @@ struct Link {
     _Atomic char clear; /* nothing is queued: what is sent goes to the kernel at once */
     char muted;         /* nothing is sent any more */
     struct unsent *unsent, **unsent_end; /* oldest first; then the link is not clear */
+    struct unsent spare; /* where there is no memory for another one: Python learns of the message, without its bytes */
     struct unsent *lent; /* the one that is in the memory of another thread; that one is the oldest */
     long long unsent_bytes, lent_bytes; /* the latter: how many of the former are of the lent one */
     long long sent_messages, sent_bytes;

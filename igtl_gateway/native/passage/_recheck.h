@@ -61,19 +61,24 @@ static int is_output(const struct recorded *all, ssize_t input, ssize_t step, ui
            all->ends[row] - all->begins[row] == size && !memcmp(all->data + all->begins[row], bytes, (size_t)size);
 }
 
-/* Keep the latest message of a stream, as the passage does. */
-static int keep_latest(const struct recorded *all, ssize_t row, Stream *stream, const uint8_t *message, ssize_t size)
+/* Have memory for the latest message of a stream: before the guard sees the message, which the full path computes without. */
+static int room_for_latest(Stream *stream, ssize_t size)
 {
-    if (size > LARGEST_INPUT) {
-        uint8_t *latest = realloc(stream->latest, (size_t)size);
-        if (!latest)
-            return 0;
-        stream->latest = latest;
-    }
+    if (size <= LARGEST_INPUT)
+        return 1;
+    uint8_t *latest = realloc(stream->latest, (size_t)size);
+    if (!latest)
+        return 0;
+    stream->latest = latest;
+    return 1;
+}
+
+/* Keep the latest message of a stream, as the passage does. */
+static void keep_latest(const struct recorded *all, ssize_t row, Stream *stream, const uint8_t *message, ssize_t size)
+{
     set_latest(stream, (uint64_t)all->numbers[row], all->times[row], all->sources[row], NULL);
     stream->latest_size = size;
     memcpy(stream->latest, message, (size_t)size);
-    return 1;
 }
 
 /* Compare the outputs of a message to ROS.  Returns why it is left to the full path, else AT_END and their number. */
@@ -120,10 +125,12 @@ static int recheck_to_ros(const struct recorded *all, ssize_t row, Stream *strea
     }
     for (int i = 0; i < 3 && !is_bulk; i++)
         place[i] = get_f32(data + stream->place_at + 4 * i);
+    if (stream->keeps && !room_for_latest(stream, size))
+        return NO_ROOM;
     if (!passes_guard(stream->guard, all->times[row], shown_ns, is_bulk ? NULL : place))
         return GUARDED;
-    if (stream->keeps && !keep_latest(all, row, stream, data, size))
-        return NO_ROOM;
+    if (stream->keeps)
+        keep_latest(all, row, stream, data, size);
     for (int i = 0; i < stream->output_count; i++)
         stream->outputs[i].sent += !is_bulk || forms[i].size;
     return AT_END;
@@ -179,10 +186,11 @@ static int recheck_to_igtl(const struct recorded *all, ssize_t row, Stream *stre
     }
     if (!is_bulk)
         memcpy(place, cdr + stream->place_at, sizeof place);
+    if (!room_for_latest(stream, size))
+        return NO_ROOM;
     if (!passes_guard(stream->guard, all->times[row], shown_ns, is_bulk ? NULL : place))
         return GUARDED;
-    if (!keep_latest(all, row, stream, cdr, size))
-        return NO_ROOM;
+    keep_latest(all, row, stream, cdr, size);
     for (int i = 0; i < stream->output_count; i++)
         stream->outputs[i].sent++;
     return AT_END;

@@ -57,7 +57,10 @@ static void forget_unsent(Link *self)
         end_lending(self);
     free(unsent->data);
     free(unsent->channel);
-    free(unsent);
+    if (unsent->is_spare)
+        unsent->is_spare = 0;
+    else
+        free(unsent);
 }
 
 /* Have the kernel take as much of a message as it has room for, behind the first ``sent`` bytes; return how much, or -1. */
@@ -93,17 +96,21 @@ static struct unsent *send_or_queue(Link *self, const struct iovec *parts, int c
         return NULL;
     }
     struct unsent *unsent = calloc(1, sizeof *unsent);
-    int lends = kept && self->clear && sent > 0;
-    uint8_t *data = lends ? NULL : malloc((size_t)size);
-    self->clear = 0;
-    if (!unsent) {
-        free(data);
+    const int is_spare = !unsent && !self->spare.is_spare;
+    if (is_spare)
+        unsent = &self->spare;
+    if (!unsent) { /* nothing of it is sent: another one waits */
+        add(&output->ignored);
         return NULL;
     }
+    int lends = kept && self->clear && sent > 0 && !is_spare;
+    uint8_t *data = lends || is_spare ? NULL : malloc((size_t)size);
+    self->clear = 0;
     if (data)
         join_parts(data, parts, count);
     *unsent = (struct unsent){.data = data, .parts = lends ? parts : NULL, .parts_count = count, .size = size,
-                              .sent = sent > 0 ? sent : 0, .channel = strdup(output->channel), .keep = output->keep};
+                              .sent = sent > 0 ? sent : 0, .channel = strdup(output->channel), .keep = output->keep,
+                              .is_spare = (char)is_spare};
     *self->unsent_end = unsent;
     self->unsent_end = &unsent->next;
     self->unsent_bytes += size;

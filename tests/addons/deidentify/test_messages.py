@@ -258,8 +258,7 @@ def test_each_class_of_contents_has_a_rule(name: str) -> None:
     assert new.content == row.expected()
     assert type(new.content) is type(row.content)
     counts = +context.report.rules
-    # beside that of the device, and that of the stream in the report
-    counts["name"] -= 1 + (row.profile is _KEEP_TEXT) * (2 if row.kind == "STATUS" else 1)
+    counts["name"] -= 1  # that of the device
     assert +counts == row.rules
 
 

@@ -235,14 +235,19 @@ static PyObject *passage_record_into(Passage *self, PyObject *args)
     Lock *lock;
     if (!PyArg_ParseTuple(args, "OO!", &memory, Lock_Type, &lock))
         return NULL;
+    if (self->is_recorded) {
+        PyErr_SetString(PyExc_ValueError, "record_into: found a passage that is recorded, expected one that is not");
+        return NULL;
+    }
     Py_buffer view;
-    if (PyObject_GetBuffer(memory, &view, PyBUF_WRITABLE))
+    PyObject *held = PyMemoryView_FromObject(memory); /* the mapping stays where it is */
+    if (!held || PyObject_GetBuffer(memory, &view, PyBUF_WRITABLE)) {
+        Py_XDECREF(held);
         return NULL;
+    }
+    self->queue_memory = held;
     self->queue = queue_open(view.buf);
-    self->queue_memory = PyMemoryView_FromObject(memory); /* the mapping stays where it is */
     PyBuffer_Release(&view);
-    if (!self->queue_memory)
-        return NULL;
     self->queue_lock = (Lock *)Py_NewRef((PyObject *)lock);
     self->is_recorded = 1;
     Py_RETURN_NONE;
