@@ -20,6 +20,7 @@ from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
 
@@ -295,15 +296,28 @@ class _WaitingMessages:
 
     def __init__(self, rows: Rows, chosen: Array, places: Array, waiting: int) -> None:
         self.rows, self.chosen = rows, chosen
-        self.order = places
-        self.places: list[int] = places.tolist()
         self.at, self.end = 0, waiting
-        sizes = (rows.ends - rows.begins)[chosen]
-        self.sizes: list[int] = sizes.tolist()
-        self.sums = np.concatenate(([0], np.cumsum(sizes)))
-        self.before: list[int] = self.sums.tolist()  # bytes of the messages before each
-        self._stamps: list[int] = rows.stamps[chosen].tolist()
-        self._digests: list[int | None] = [None] * len(chosen)
+        self.order = places
+        self.sums = np.concatenate(([0], np.cumsum((rows.ends - rows.begins)[chosen])))
+        self._digests: dict[int, int] = {}
+
+    # lists, where messages are taken one by one
+
+    @cached_property
+    def places(self) -> list[int]:
+        found: list[int] = self.order.tolist()
+        return found
+
+    @cached_property
+    def before(self) -> list[int]:
+        """Bytes of the messages before each."""
+        found: list[int] = self.sums.tolist()
+        return found
+
+    @cached_property
+    def _stamps(self) -> list[int]:
+        found: list[int] = self.rows.stamps[self.chosen].tolist()
+        return found
 
     def __len__(self) -> int:
         return self.end - self.at
@@ -311,7 +325,7 @@ class _WaitingMessages:
     @property
     def next_place(self) -> float:
         """The place of the next message that does not wait yet; infinity without one."""
-        return self.places[self.end] if self.end < len(self.places) else math.inf
+        return int(self.order[self.end]) if self.end < len(self.order) else math.inf
 
     def advance(self, before: float, other: _WaitingMessages) -> None:
         """Let the next message wait, and those behind it that come before a place and that nothing follows from."""
@@ -333,7 +347,7 @@ class _WaitingMessages:
         return self.rows.payload(int(self.chosen[self.at + at]))
 
     def digest(self, at: int) -> int:
-        found = self._digests[self.at + at]
+        found = self._digests.get(self.at + at)
         if found is None:
             found = self._digests[self.at + at] = hash(bytes(self.payload(at)))
         return found
@@ -341,7 +355,7 @@ class _WaitingMessages:
     def stamp(self, at: int) -> tuple[int, int] | None:
         """A message with a changed value usually has the same size and source stamp."""
         at += self.at
-        return (self._stamps[at], self.sizes[at]) if self._stamps[at] else None
+        return (self._stamps[at], self.before[at + 1] - self.before[at]) if self._stamps[at] else None
 
     @property
     def full(self) -> bool:

@@ -288,8 +288,11 @@ class _Table:
         """Strings as they are in the file."""
         if not isinstance(cell, Strings):
             return cell
-        found = [self._written(text) for text in cell.values]
-        return found[0] if len(set(found)) == 1 else found
+        values = cell.values
+        if values.count(values[0]) == len(values):  # such as the name of a frame
+            self.formulas += (len(values) - 1) * values[0].startswith(_FORMULA)
+            return self._written(values[0])
+        return [self._written(text) for text in values]
 
     def _written(self, text: str) -> bytes:
         """A string as it is in the file; equal ones are quoted once."""
