@@ -190,3 +190,18 @@ def test_a_folder_without_its_log_is_an_error(tmp_path: Path) -> None:
     assert found[FAILED].level is Level.ERROR and found[FAILED].text.startswith("no retention: ")
     assert DELETED not in found
     assert (tmp_path / "old.mcap").exists()
+
+
+def test_an_open_file_that_alone_is_larger_than_the_size_is_reported(tmp_path: Path) -> None:
+    path = recording(tmp_path, "open.mcap", 0)
+    path.write_bytes(path.read_bytes()[:-200])
+    size = path.stat().st_size
+    with thread(tmp_path, RetentionRule("", size=size)) as made:
+        assert notes(made) == []
+    with thread(tmp_path, RetentionRule("", size=size - 1)) as made:
+        (note,) = notes(made)
+        assert made.until_deleted is None
+    assert (note.level, note.code) == (Level.WARN, KEPT)
+    assert note.text == (
+        "the session that runs is larger than half of the size; older recordings do not give way to it"
+    )

@@ -168,7 +168,7 @@ def test_places_of_pictures() -> None:
     made = pictures(picture(), picture(matrix=(0.0,) * 12), picture(matrix=moved))
     first, second, third = made.placed()
     assert first[:3, :3].tolist() == [[0.5, 0, 0], [0, 0.25, 0], [0, 0, 1]]
-    assert first[:3, 3].tolist() == [9.75, 19.75, 30.0]
+    assert first[:3, 3].tolist() == [9.75, 19.75, 30.0] and first[3].tolist() == [0, 0, 0, 1]
     assert (second == first).all() and third[0, 3] == 10.75
     assert made.moves() and not pictures(picture(), picture()).moves()
     assert (pictures(picture(matrix=(0.0,) * 12)).placed()[0] == np.eye(4)).all()
@@ -191,6 +191,8 @@ def test_a_reader_of_nrrd_reads_the_pictures(scalar: int, components: int, endia
     data = nrrd.read_data(header, stream)
     lead = [components] if components > 1 else []
     assert header["sizes"].tolist() == [*lead, 2, 3, 1, 2]
+    pixel = {1: [], 3: ["RGB-color"], 4: ["RGBA-color"]}.get(components, ["vector"])
+    assert header["kinds"] == [*pixel, "domain", "domain", "domain", "list"]
     assert data.tobytes(order="F") == np.frombuffer(pixels, numpy_type).astype(data.dtype).tobytes()
     assert header["axis 3 index values"] == "0.000 0.020"
     assert np.allclose(header["space origin"], [-9.75, -19.75, 30.0]), "the file is in LPS"
