@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -232,6 +233,26 @@ def test_a_file_that_changes_all_the_time_is_drawn_one_by_one(tmp_path: Path, mo
     monkeypatch.setattr(SessionView, "_segment", counted)
     check(recorded(tmp_path / "a.mcap", ((n, Kind.ROS_IN, "/tool", tool(n, f"f{n}")) for n in range(800))), tmp_path)
     assert len(blocks) < 200  # work that is in vain has an end
+
+
+def test_what_is_not_written_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    waits: list[bool] = []
+    monkeypatch.setattr(session, "_UNWRITTEN", 20_000)
+    path = recorded(tmp_path / "a.mcap", ((n, Kind.ROS_IN, "/text", String("x" * 1000)) for n in range(100)))
+    recording = stream.to_file(tmp_path / "out.rrd", "test")
+    view = SessionView(recording)
+    monkeypatch.setattr(recording, "flush", lambda: waits.append(True))
+    with SessionFile.open(path) as file:
+        for columns in file.columns():
+            for begin in range(0, len(columns), 10):
+                part = columns.where(slice(begin, begin + 10))
+                first, last = int(part.begins.min()), int(part.ends.max())
+                begins, ends = part.begins - first, part.ends - first
+                view.take_columns(replace(part, data=part.data[first:last], begins=begins, ends=ends))
+    monkeypatch.undo()
+    view.finish()
+    stream.close(recording)
+    assert 3 <= len(waits) <= 6
 
 
 @pytest.mark.slow

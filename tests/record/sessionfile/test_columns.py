@@ -16,7 +16,14 @@ from igtl_gateway.base.errors import DamagedRecording, GatewayError
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile import chunks, layout, order
 from igtl_gateway.record.sessionfile import columns as columns_module
-from igtl_gateway.record.sessionfile.columns import END_NS, EntryColumns, Stream, Unfit, WireHead
+from igtl_gateway.record.sessionfile.columns import (
+    END_NS,
+    EntryColumns,
+    Stream,
+    Unfit,
+    WireHead,
+    in_larger_blocks,
+)
 from igtl_gateway.record.sessionfile.copying import CopyWriter
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
@@ -268,3 +275,29 @@ def test_from_a_time_on_or_up_to_one_is_not_a_file_that_lacks_messages(tmp_path:
         assert count(middle, END_NS) == len(times) - before
         with pytest.raises(DamagedRecording, match=f"{len(times) + 1}"):
             count(0, END_NS)
+
+
+@pytest.mark.parametrize(("most", "most_bytes"), [(10**6, 1 << 30), (40, 1 << 30), (10**6, 3_000), (1, 1)])
+def test_joined_blocks_have_the_same_entries(most: int, most_bytes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also those of large entries, which are joined with none, and those before damage."""
+    monkeypatch.setattr(columns_module, "_LARGE_ENTRIES", 2_000)
+
+    def damaged(blocks: Iterator[EntryColumns]) -> Iterator[EntryColumns]:
+        for block in blocks:
+            for begin in range(0, len(block), 7):
+                part = block.where(slice(begin, begin + 7))
+                first, last = int(part.begins.min()), int(part.ends.max())
+                yield replace(part, data=part.data[first:last], begins=part.begins - first, ends=part.ends - first)
+        raise DamagedRecording("here")
+
+    with SessionFile.open(FIXTURES / "crtk.mcap") as file:
+        expected = [row for columns in file.columns() for row in fields_of(columns)]
+        blocks = in_larger_blocks(damaged(file.columns()), most, most_bytes)
+        found, sizes = [], []
+        with pytest.raises(DamagedRecording, match="here"):
+            for block in blocks:
+                found += fields_of(block)
+                sizes.append(len(block))
+    assert found == expected
+    assert max(sizes) <= max(most, 7)
+    assert (max(sizes) > 7) == (most > 7)
