@@ -163,6 +163,22 @@ static PyObject *pose_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
 /* Parts of a sample that must be equal. */
 #define MAX_PLACES 16
 
+/* A form of the arguments, and whether it fits the stream; 0: an exception is set. */
+static int read_ros_form(PyObject *args, const struct igtl_bulk *stream, struct ros_form *form)
+{
+    PyObject *template;
+    form->rest = 0;
+    if (!PyArg_ParseTuple(args, "iSnn|n", &form->form, &template, &form->stamp_at, &form->width_at, &form->rest))
+        return 0;
+    form->template = (const uint8_t *)PyBytes_AS_STRING(template);
+    form->room = PyBytes_GET_SIZE(template);
+    if (form->form >= TEXT && form->form <= LANDMARKS && form->form != BLUE_FIRST && has_room(form) &&
+        (form->form != METADATA || stream->sample[1] == 2) && (form->form != LANDMARKS || stream->landmarks))
+        return 1;
+    PyErr_SetString(PyExc_ValueError, "bulk_to_ros: a form without room for stamp and width");
+    return 0;
+}
+
 static PyObject *bulk_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
     (void)module;
@@ -204,18 +220,8 @@ static PyObject *bulk_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t
     PyTuple_SET_ITEM(result, 1, PyLong_FromLongLong(stamp_ns));
     for (Py_ssize_t i = 0; i < forms_count; i++) {
         struct ros_form *form = &forms[i];
-        PyObject *template;
-        form->rest = 0;
-        if (!PyArg_ParseTuple(PyTuple_GET_ITEM(args[8], i), "iSnn|n", &form->form, &template, &form->stamp_at,
-                              &form->width_at, &form->rest))
+        if (!read_ros_form(PyTuple_GET_ITEM(args[8], i), &stream, form))
             goto failed;
-        form->template = (const uint8_t *)PyBytes_AS_STRING(template);
-        form->room = PyBytes_GET_SIZE(template);
-        if (form->form < TEXT || form->form > LANDMARKS || form->form == BLUE_FIRST || !has_room(form) ||
-            (form->form == METADATA && stream.sample[1] != 2) || (form->form == LANDMARKS && !stream.landmarks)) {
-            PyErr_SetString(PyExc_ValueError, "bulk_to_ros: a form without room for stamp and width");
-            goto failed;
-        }
         if (!prepare_form(form, data + stream.at, view.len - stream.at - stream.tail)) {
             Py_CLEAR(result);
             goto general;
@@ -277,6 +283,35 @@ static int put_pixels_between(PyObject *result, PyObject *cdr, const struct igtl
     return done;
 }
 
+/* The form of a stream, and the places in its sample; 0: an exception is set. */
+static int read_ros_bulk(PyObject *places_of, PyObject *factors, struct ros_bulk *stream, ssize_t *places)
+{
+    const Py_ssize_t count = PyTuple_GET_SIZE(places_of);
+    if (!PyArg_ParseTuple(factors, "dd", &stream->times, &stream->by))
+        return 0;
+    const int has_places = stream->form != TEXT && stream->form != MESH;
+    if (stream->form < TEXT || stream->form == POINT || stream->form > TOOLS ||
+        (has_places && (count < 6 || count % 2 || count > 6 + 2 * MAX_PLACES))) {
+        PyErr_SetString(PyExc_ValueError, "bulk_to_igtl: invalid form or places");
+        return 0;
+    }
+    return !has_places || read_places(places_of, stream, places, count);
+}
+
+/* A form of the arguments; 0: an exception is set. */
+static int read_igtl_form(PyObject *args, struct igtl_form *form)
+{
+    PyObject *head, *tail;
+    if (!PyArg_ParseTuple(args, "SSn", &head, &tail, &form->digits_at))
+        return 0;
+    form->head = (const uint8_t *)PyBytes_AS_STRING(head), form->head_size = PyBytes_GET_SIZE(head);
+    form->tail = (const uint8_t *)PyBytes_AS_STRING(tail), form->tail_size = PyBytes_GET_SIZE(tail);
+    if (form->head_size >= HEADER_SIZE && has_digits(form->digits_at, form->tail_size))
+        return 1;
+    PyErr_SetString(PyExc_ValueError, "bulk_to_igtl: a form without room for header or stamp");
+    return 0;
+}
+
 static PyObject *bulk_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
     (void)module;
@@ -291,17 +326,9 @@ static PyObject *bulk_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
                               .form = (int)PyLong_AsLong(args[3])};
     int own = PyObject_IsTrue(args[4]);
     int64_t source_ns = PyLong_AsLongLong(args[5]), received_ns = PyLong_AsLongLong(args[6]);
-    Py_ssize_t forms_count = PyTuple_GET_SIZE(args[8]), places_count = PyTuple_GET_SIZE(args[2]);
+    const Py_ssize_t forms_count = PyTuple_GET_SIZE(args[8]);
     ssize_t places[6 + 2 * MAX_PLACES];
-    if (PyErr_Occurred() || !PyArg_ParseTuple(args[7], "dd", &stream.times, &stream.by))
-        return NULL;
-    int has_places = stream.form != TEXT && stream.form != MESH;
-    if (stream.form < TEXT || stream.form == POINT || stream.form > TOOLS ||
-        (has_places && (places_count < 6 || places_count % 2 || places_count > 6 + 2 * MAX_PLACES))) {
-        PyErr_SetString(PyExc_ValueError, "bulk_to_igtl: invalid form or places");
-        return NULL;
-    }
-    if (has_places && !read_places(args[2], &stream, places, places_count))
+    if (PyErr_Occurred() || !read_ros_bulk(args[2], args[7], &stream, places))
         return NULL;
     if (forms_count > MAX_FORMS)
         Py_RETURN_NONE;
@@ -321,15 +348,8 @@ static PyObject *bulk_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
     PyTuple_SET_ITEM(result, 0, PyLong_FromLongLong(stamp_ns));
     for (Py_ssize_t i = 0; i < forms_count; i++) {
         struct igtl_form *form = &forms[i];
-        PyObject *head, *tail;
-        if (!PyArg_ParseTuple(PyTuple_GET_ITEM(args[8], i), "SSn", &head, &tail, &form->digits_at))
+        if (!read_igtl_form(PyTuple_GET_ITEM(args[8], i), form))
             goto failed;
-        form->head = (const uint8_t *)PyBytes_AS_STRING(head), form->head_size = PyBytes_GET_SIZE(head);
-        form->tail = (const uint8_t *)PyBytes_AS_STRING(tail), form->tail_size = PyBytes_GET_SIZE(tail);
-        if (form->head_size < HEADER_SIZE || !has_digits(form->digits_at, form->tail_size)) {
-            PyErr_SetString(PyExc_ValueError, "bulk_to_igtl: a form without room for header or stamp");
-            goto failed;
-        }
         if (!fits_digits(form->digits_at, found.header_ns, stamp_ns)) {
             Py_CLEAR(result); /* metadata of another size than in the template */
             goto general;

@@ -146,3 +146,12 @@ def test_the_walks_are_those_of_the_code() -> None:
                 here = place
         assert returns <= MOST_RETURNS
         assert len(steps) > 4
+
+
+def test_the_table_of_rooms_names_each_header_of_kernel_and_passage() -> None:
+    rows = re.findall(r"^\| `native/(\w+)` \|.*$", (ROOT / "ARCHITECTURE.md").read_text("utf-8"), re.MULTILINE)
+    assert rows == ["kernel", "passage"]
+    for room in rows:
+        (row,) = re.findall(rf"^\| `native/{room}` \|.*$", (ROOT / "ARCHITECTURE.md").read_text("utf-8"), re.MULTILINE)
+        headers = {name.removeprefix(f"{room}/") for name in HEADERS if name.startswith(f"{room}/_")}
+        assert set(re.findall(r"`(_\w+\.h)`", row)) == headers
