@@ -48,6 +48,7 @@ TESTS = {
     "_passage": (
         *(f"tests/native/test_{name}.py" for name in ("foreign", "subscriptions", "turns", "types")),
         "tests/gateway/fastpath",
+        "tests/replay/test_recheck.py",
     ),
     "_queue": ("tests/record/test_shared_queue.py",),
 }

@@ -123,3 +123,36 @@ def test_the_option_reference_computes_all_by_the_full_path(capsys: pytest.Captu
     assert "by compiled conversions" in capsys.readouterr().out
     assert main(["verify", path, "--reference"]) == 0
     assert "by compiled conversions" not in capsys.readouterr().out
+
+
+def test_foreign_columns_and_messages_are_only_compared(tmp_path: Path) -> None:
+    """Places outside, numbers and times at their limits, bytes that changed: nothing is read that is not there."""
+    chance = random.Random(5)
+    config, entries = random_session(chance, 900)
+    path = written(tmp_path / "a.mcap", config, entries, chunk_bytes=8_000)
+    limits = (0, 1, -1, 57, 1 << 31, (1 << 63) - 1, -(1 << 63))
+    with SessionFile.open(path) as file:
+        checker = Checker(Verifier(config_to_run(file.session, None), DeclaredLosses(), None, compiles=True), {})
+        compared = 0
+        for some in file.columns():
+            checker.take(some)
+            rows = checker._rows(some)
+            assert rows
+            for _ in range(60):
+                data, *changed = bytearray(rows[0]), *(np.array(column) for column in rows[1:])
+                for _ in range(chance.randrange(4)):
+                    data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
+                for _ in range(chance.randrange(4)):
+                    column = chance.choice(changed)
+                    least, most = np.iinfo(column.dtype).min, np.iinfo(column.dtype).max
+                    value = chance.choice((*limits, len(data), len(some), int(column[0])))
+                    column[chance.randrange(len(column))] = min(max(value, least), most)
+                changed[-1][:] = 0
+                start, number = chance.randrange(len(some) + 2), int(rows[2][0]) - 1
+                last = chance.choice((number, number + start, *limits))
+                columns_of: Any = (bytes(data), *changed)
+                row, why, inputs, _ = checker._passage.recheck(columns_of, checker._names.sources, start, last)
+                assert row >= start and 0 <= why <= 6 and 0 <= inputs <= len(some)
+                compared += inputs
+        checker.close()
+    assert compared
