@@ -40,7 +40,7 @@ CHECKS = {
 }
 #: Tests of the modules: of each door, ``_NAME.c``.
 TESTS = {
-    "_chunk": ("tests/record/sessionfile/test_chunk_rows.py",),
+    "_chunk": ("tests/record/sessionfile/test_chunk_rows.py", "tests/addons/merge/test_writer.py"),
     "_columns": ("tests/record/sessionfile/test_columns.py", "tests/record/sessionfile/test_chunk_columns.py"),
     "_express": ("tests/convert/test_express.py", "tests/native/test_twins.py"),
     "_figures": ("tests/record/sessionfile/test_figures.py",),

@@ -7,6 +7,7 @@ import struct
 import sys
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -104,3 +105,34 @@ def test_it_stops_when_the_chunk_has_its_size() -> None:
 def test_other_arguments(arguments: tuple[Any, ...]) -> None:
     with pytest.raises((TypeError, ValueError)):
         compiled.add_rows(*arguments)
+
+
+def _columns(**changed: Any) -> list[Any]:
+    names = ("which", "idents", "numbers", "times", "publish_times", "sources", "begins", "ends")
+    given: dict[str, Any] = {name: np.zeros(2, np.int64) for name in names}
+    given |= {"which": np.zeros(2, np.uint16), "idents": np.zeros(2, np.int32), "ends": np.array([3, 4])} | changed
+    return [given[name] for name in names]
+
+
+@pytest.mark.skipif(chunk_rows.add_columns is None, reason="installed without the C part")
+def test_columns_outside_of_the_data_or_of_other_lengths_are_refused() -> None:
+    """Nothing is read there, and the chunk keeps what it had and whole messages."""
+    add, chunk = chunk_rows.add_columns, bytearray()
+    assert add
+    rest = (0, [(1, -1, b"")], 1 << 20, 1 << 20)
+    assert add(chunk, (b"abcd",), *_columns(), *rest) == 2
+    assert chunk.endswith(b"abcd") and len(chunk) == 2 * (9 + 22) + 3 + 4
+    for name, values in (
+        ("which", np.array([0, 1], np.uint16)),
+        ("ends", np.array([3, 5])),
+        ("begins", np.array([0, -1])),
+        ("begins", np.array([0, 5])),
+        ("times", np.zeros(1, np.int64)),
+        ("idents", np.zeros(2, np.int64)),
+    ):
+        with pytest.raises(ValueError, match="found"):
+            add(bytearray(), (b"abcd",), *_columns(**{name: values}), *rest)
+    for ident in (-1, 1, 1 << 30):
+        assert add(bytearray(), (b"abcd",), *_columns(idents=np.full(2, ident, np.int32)), *rest) == 0
+    assert add(bytearray(), (b"abcd",), *_columns(), 0, [None], 1 << 20, 1 << 20) == 0
+    assert add(bytearray(), (b"abcd",), *_columns(), 0, [(1, -1, b"")], 1 << 20, 4) == 1
