@@ -11,6 +11,7 @@ from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert import robots
 from igtl_gateway.convert.common_msgs import JointState, Joy, OperatingState
 from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
+from igtl_gateway.convert.igtl_msgs import MetadataItem
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.wire.ndarray import NdArray
 from igtl_gateway.wire.sensor import MAX_VALUES, Sensor
@@ -47,6 +48,15 @@ def test_buttons_are_values_up_to_those_of_a_sensor() -> None:
     more = Joy(Header(7, "pad"), np.zeros(0, np.float32), np.arange(MAX_VALUES + 1, dtype=np.int32))
     with pytest.raises(ConversionError, match=f"found {MAX_VALUES + 1} buttons, expected at most {MAX_VALUES}"):
         robots.joy_to_sensor(more, ToIgtlContext())
+
+
+@table(("names", "values", "known"), [("a,b", [1.0, 2.0], True), ("", [1.0, 2.0], False), ("a,b", [1.0], False)])
+def test_values_of_a_command_are_positions_of_joints(names: str, values: list[float], known: bool) -> None:
+    """With the names of its metadata, if there are as many."""
+    metadata = (MetadataItem(robots.JOINT_NAMES, 0, names),) if names else ()
+    found = robots.sensor_to_joints(Sensor(np.array(values, ">f8")), replace(TO, metadata=metadata))
+    assert (found.header, found.name) == (Header(5, "base"), tuple(names.split(",")) if known else ())
+    assert found.position.tolist() == values and found.position.dtype == np.float64
 
 
 @table(

@@ -21,6 +21,7 @@ from igtl_gateway.addons.deidentify.pixels import PixelCleaner
 from igtl_gateway.addons.deidentify.profile import BASIC
 from igtl_gateway.addons.deidentify.report import Report
 from igtl_gateway.addons.deidentify.ros import _DATA, RosCleaner
+from igtl_gateway.addons.deidentify.rules import OPTIONS, RULES, Action
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.cli import main
@@ -233,3 +234,21 @@ def test_parts_of_a_split_recording_become_one_file(tmp_path: Path) -> None:
     assert main(["deidentify", str(folder), "-o", str(out)]) == 0
     assert main(["verify", str(out)]) == 0
     assert found(out) == []
+
+
+#: Rules, in the order of the report, where programs read their names, and the option of DICOM that asks for each.
+NAMES = {
+    "patient": "113100", "name": "113105", "text": "113104", "metadata": "113104", "padding": "113100",
+    "type": "113100", "kept type": "113111", "bytes": "113100", "place": "113100", "damaged": "113100",
+    "pixels": "113101", "picture data": "113101", "address": "113100", "note": "113104", "setting": "113105",
+    "session": "113100", "time": "113107",
+}  # fmt: skip
+
+
+def test_each_rule_has_its_name_and_its_option() -> None:
+    assert [(name, rule.name, rule.option) for name, rule in RULES.items()] == [
+        (name, name, option) for name, option in NAMES.items()
+    ]
+    for rule in RULES.values():
+        assert isinstance(rule.action, Action) and rule.option in OPTIONS
+        assert rule.place not in NAMES and rule.what not in NAMES and rule.place != rule.what
