@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from pathlib import Path
 
 import pytest
 
@@ -85,3 +86,20 @@ def test_the_mirrored_file(module: str, test: str) -> None:
 
 def test_equivalent_mutants_have_a_reason() -> None:
     assert all(len(name) == 10 and why for name, why in mutants.equivalent().items())
+
+
+def test_a_module_that_has_changed_is_mapped_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the lines that it had before, its mutants would have the tests of other lines."""
+    monkeypatch.setattr(mutants, "ROOT", tmp_path)
+    folder = tmp_path / mutants.PACKAGE / "convert"
+    folder.mkdir(parents=True)
+    (folder / "same.py").write_text("a = 1\n")
+    (folder / "other.py").write_text("a = 1\n")
+    lines = {"1": ["tests/convert/test_a.py::test_1", "tests/convert/test_b.py::test_2"]}
+    names = ("convert/same.py", "convert/other.py", "convert/gone.py")
+    digest = mutants._digest(folder / "same.py")
+    part = {"sources": dict.fromkeys(names, digest), "lines": {name: dict(lines) for name in names}}
+    assert mutants._forget_changed({"sources": {names[0]: digest}, "lines": {names[0]: lines}}) == set()
+    (folder / "other.py").write_text("a = 2\n")
+    assert mutants._forget_changed(part) == {"tests/convert/test_a.py", "tests/convert/test_b.py"}
+    assert part == {"sources": {names[0]: digest}, "lines": {names[0]: lines}}

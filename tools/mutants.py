@@ -249,13 +249,17 @@ def _map_files(folder: str, files: list[str], target: Path) -> int:
 
 
 def test_map(folders: Iterable[str]) -> dict[str, Any]:
-    """Folder → seconds of each test, tests of each line, digests of files; test files that are new are run."""
+    """Folder → seconds of each test, tests of each line, digests of files.
+
+    Test files that are new are run, and those that ran a module which is another one by now.
+    """
     known = json.loads(MAP.read_text()) if MAP.exists() else {}
     for folder in folders:
         part = known.setdefault(folder, {"seconds": {}, "lines": {}, "files": {}, "sources": {}})
         paths = sorted((ROOT / "tests" / folder).rglob("test_*.py"))
         digests = {path.relative_to(ROOT).as_posix(): _digest(path) for path in paths}
-        new = [name for name, digest in digests.items() if part["files"].get(name) != digest]
+        again = _forget_changed(part)
+        new = [name for name, digest in digests.items() if part["files"].get(name) != digest or name in again]
         if not new:
             continue
         target, log = WORK / "part.json", WORK / f"map-{folder.replace('/', '-')}.log"
@@ -270,6 +274,19 @@ def test_map(folders: Iterable[str]) -> dict[str, Any]:
         MAP.write_text(json.dumps(known))
         print(f"{folder}: {len(new)} test files, {len(part['seconds'])} tests", flush=True)
     return known
+
+
+def _forget_changed(part: dict[str, Any]) -> set[str]:
+    """Forget the lines of modules that have changed since they were mapped; return the test files that ran them."""
+    files = set[str]()
+    for module, digest in list(part["sources"].items()):
+        path = ROOT / PACKAGE / module
+        if path.exists() and _digest(path) == digest:
+            continue
+        del part["sources"][module]
+        lines = part["lines"].pop(module, {})
+        files |= {one.partition("::")[0] for ids in lines.values() for one in ids}
+    return files
 
 
 def _merge_map(part: dict[str, Any], found: dict[str, Any], files: set[str]) -> None:

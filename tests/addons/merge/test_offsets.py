@@ -146,3 +146,33 @@ def test_no_clock() -> None:
     wild = np.array([chance.randrange(-(10**12), 10**12) for _ in sent])
     with pytest.raises(Contradiction, match=f"more than {MOST_PIECES} places"):
         measure_offset((sent, sent + wild), (sent, sent + wild))
+
+
+DAY_NS = 86_400 * 10**9
+
+
+@table(
+    ("pieces", "until_ns", "is_exact"),
+    [
+        ((Piece(START_NS, 7),), DAY_NS, True),
+        ((Piece(START_NS, (1 << 50) - 1),), DAY_NS, True),
+        ((Piece(START_NS, 1 << 50),), DAY_NS, False),
+        ((Piece(START_NS, -(1 << 50)),), DAY_NS, False),
+        ((Piece(1 << 62, 7),), DAY_NS, False),
+        ((Piece(START_NS, 7), Piece(START_NS + DAY_NS, 9)), DAY_NS, True),
+        ((Piece(START_NS, 7), Piece(START_NS + 2, 9), Piece(START_NS + 1, 9)), DAY_NS, False),
+        ((Piece(START_NS, 7, 0.5),), (1 << 52) - 1, True),
+        ((Piece(START_NS, 7, 0.5),), 1 << 52, False),
+        ((Piece(START_NS, 7, 1e9),), DAY_NS, False),
+        ((Piece(START_NS + (1 << 52), 7, 0.5),), DAY_NS, False),
+    ],
+)
+def test_where_columns_of_times_have_the_offsets_of_single_ones(
+    pieces: tuple[Piece, ...], until_ns: int, is_exact: bool
+) -> None:
+    """Beyond these limits floating-point numbers round, and each time is computed alone."""
+    found = ClockOffset(Method.GIVEN, pieces)
+    assert found.is_exact(START_NS, START_NS + until_ns) is is_exact
+    if is_exact:
+        times = START_NS + np.arange(0, until_ns, max(1, until_ns // 1_009))
+        assert found.of(times).tolist() == [found.at(time) for time in times.tolist()]
