@@ -480,7 +480,8 @@ def table() -> str:
         "Small changes of the source (a comparison, a number by one, a negation, a statement less, two arguments"
         " swapped), drawn evenly by folder; folders without a row have not run yet."
         " Each has the fast tests of the mirrored folder that run its line. Killed:"
-        " a test failed, or did not end (timeout). The shares count without the equivalent ones.\n",
+        " a test failed, or did not end (timeout). The shares count without the equivalent ones. First: before a"
+        " test was written for a survivor of the draw, so it is also the estimate for mutants outside of the draw.\n",
         "| folder | mutants | killed | timeout | survived | no test runs it | equivalent | first | now |",
         "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
