@@ -220,7 +220,7 @@ def test_of_equal_deviations_the_first_is_named() -> None:
 
 @pytest.mark.parametrize(("one", "other"), [("mm", "m"), ("m", "mm"), ("m", "m")])
 def test_each_recording_has_its_own_units(one: str, other: str) -> None:
-    """A program that sends metres and one that sends millimetres say the same."""
+    """What one program sends in metres and another one in millimetres is equal."""
 
     def side(unit: str) -> DiffInput:
         by = 1.0 if unit == "mm" else 0.001

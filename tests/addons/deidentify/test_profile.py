@@ -76,7 +76,7 @@ def test_a_mask_has_any_value_of_a_byte(value: int, tmp_path: Path) -> None:
             "rectangles = [[0, 0, 1, 1], [0, 0, -1, 1]]",
             "mask[0].rectangles[1]: found [0, 0, -1, 1], expected 0 or more",
         ),
-        ("rectangles = [[0, 0, 1.5, 1]]", "whole numbers"),
+        ("rectangles = [[0, 0, 1.5, 1]]", "mask[0].rectangles[0]: found [0, 0, 1.5, 1], expected [x, y, w"),
         ("rectangles = [[0, 0, 1, 1_000_001]]", "mask[0].rectangles[0]: found [0, 0, 1, 1000001]"),
         ("rectangles = []", "expected rectangles or a fan"),
         ("", "expected rectangles or a fan"),

@@ -145,7 +145,7 @@ def test_only_a_session_is_deidentified(tmp_path: Path) -> None:
 
 
 def test_a_name_that_is_too_long_for_a_device_is_one_name_in_both_forms(tmp_path: Path) -> None:
-    """A topic has all of it, a device its beginning and a hash: whoever has both has to find them joined."""
+    """A topic has all of it, a device its beginning and a hash: in the result both are of one name."""
     gateway, long = ManualGateway(), "OperatingMicroscopeOfTheatre"
     short = short_device_name(long)
     gateway.connect()

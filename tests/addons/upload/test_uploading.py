@@ -129,7 +129,7 @@ def test_an_object_of_few_parts_has_the_tag_of_its_parts(
 def test_where_an_object_was_made_meanwhile_no_part_is_left(
     status: int, code: str, is_there: bool, store: Store, folder: Path
 ) -> None:
-    """Parts without an object cost money for ever; the answer to an upload that was made before may be lost."""
+    """Parts without an object cost money; the answer to an upload that was made before may be lost."""
     answers = 0
 
     def fault(method: str, path: str, query: dict[str, str]) -> tuple[int, dict[str, str], bytes] | None:
