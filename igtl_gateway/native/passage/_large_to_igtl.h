@@ -68,7 +68,7 @@ static int is_behind(const Stream *stream)
 /* Give a large message, whose outputs are made, its number, its stamps and its places in the recorder's queue; 0: Python's.
  * The caller has the sequence lock. */
 static int admit_to_igtl(Subscription *self, Stream *stream, const struct found *found, const struct large_outputs *large,
-                         struct kept *kept, uint8_t **slots)
+                         struct kept *kept, uint8_t **slots, struct kept **before)
 {
     Passage *passage = self->passage;
     ssize_t size = (ssize_t)kept->message.length;
@@ -91,7 +91,7 @@ static int admit_to_igtl(Subscription *self, Stream *stream, const struct found 
     }
     stream->received++;
     stream->converted++;
-    set_latest(stream, seq, stamp_ns, source_ns, kept);
+    *before = set_latest(stream, seq, stamp_ns, source_ns, kept);
     if (source_ns)
         count_time(passage, TO_IGTL, MIDDLEWARE, now_ns - passage->ahead_ns - source_ns);
     return 1;
@@ -105,6 +105,7 @@ static int pass_large_to_igtl(Subscription *self, Stream *stream, struct kept *k
     int64_t begun_ns = clock_ns(CLOCK_MONOTONIC);
     struct found found = {0};
     struct large_outputs large = {.made = NULL};
+    struct kept *before = NULL;
     struct unfilled *unfilled = calloc(1, sizeof *unfilled);
     uint8_t *slots[1 + MAX_OUTPUTS] = {NULL};
     int passes = unfilled && stream->is_bulk &&
@@ -114,8 +115,9 @@ static int pass_large_to_igtl(Subscription *self, Stream *stream, struct kept *k
     if (passes) {
         wait_for_sequence(passage);
         locked_ns = clock_ns(CLOCK_MONOTONIC);
-        passes = admit_to_igtl(self, stream, &found, &large, kept, slots);
+        passes = admit_to_igtl(self, stream, &found, &large, kept, slots, &before);
         unlock_sequence(passage);
+        leave_kept(before);
     }
     if (passes) {
         for (int i = 0; i < large.count; i++)

@@ -9,7 +9,7 @@
 /* Give a large message, whose outputs are made, its number, its stamps and its places in the recorder's queue; 0: Python's.
  * ``data``: at least its header.  The caller has the sequence lock. */
 static int admit_to_ros(Link *self, Stream *stream, const uint8_t *data, const struct chosen *chosen, struct kept *kept,
-                        uint8_t **slots)
+                        uint8_t **slots, struct kept **before)
 {
     Passage *passage = self->passage;
     ssize_t size = (ssize_t)kept->message.length;
@@ -33,7 +33,7 @@ static int admit_to_ros(Link *self, Stream *stream, const uint8_t *data, const s
     reserve(passage, stream, chosen->outputs, chosen->sizes, chosen->count, seq, stamp_ns, source_ns, shown_ns, size, slots);
     count_to_ros(passage, stream, chosen);
     if (stream->keeps) {
-        set_latest(stream, seq, stamp_ns, source_ns, kept);
+        *before = set_latest(stream, seq, stamp_ns, source_ns, kept);
         stream->waits = chosen->waits;
     }
     return 1;
@@ -49,6 +49,7 @@ static int pass_large_to_ros(Link *self, Stream *stream, struct kept *kept, int 
     struct igtl_bulk bulk = stream->bulk_from_igtl;
     int64_t begun_ns = clock_ns(CLOCK_MONOTONIC);
     struct chosen chosen;
+    struct kept *before = NULL;
     if (!stream->is_bulk || !bulk_from_igtl_fits(&stream->bulk_from_igtl, data, size) ||
         !choose_outputs(passage, stream, data, size, most, &chosen) || !chosen.wanted || chosen.bytes > most)
         return 0;
@@ -69,8 +70,9 @@ static int pass_large_to_ros(Link *self, Stream *stream, struct kept *kept, int 
     if (passes) {
         wait_for_sequence(passage);
         locked_ns = clock_ns(CLOCK_MONOTONIC);
-        passes = admit_to_ros(self, stream, stays ? made : data, &chosen, kept, slots);
+        passes = admit_to_ros(self, stream, stays ? made : data, &chosen, kept, slots, &before);
         unlock_sequence(passage);
+        leave_kept(before);
     }
     if (passes) {
         for (int i = 0; i < chosen.count; i++)

@@ -76,7 +76,7 @@ static int room_for_latest(Stream *stream, ssize_t size)
 /* Keep the latest message of a stream, as the passage does. */
 static void keep_latest(const struct recorded *all, ssize_t row, Stream *stream, const uint8_t *message, ssize_t size)
 {
-    set_latest(stream, (uint64_t)all->numbers[row], all->times[row], all->sources[row], NULL);
+    leave_kept(set_latest(stream, (uint64_t)all->numbers[row], all->times[row], all->sources[row], NULL));
     stream->latest_size = size;
     memcpy(stream->latest, message, (size_t)size);
 }

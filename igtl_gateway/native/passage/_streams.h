@@ -60,15 +60,17 @@ struct Stream {
     int is_in_use;      /* a thread passes a message on without the sequence lock and the GIL; atomic */
 };
 
-/* Note the latest message of a stream. */
-static void set_latest(Stream *stream, uint64_t seq, int64_t stamp_ns, int64_t source_ns, struct kept *large)
+/* Note the latest message of a stream; returns the memory of the one before, if it was large, for the caller to leave: to free it
+ * takes longer than a lock may be held. */
+static struct kept *set_latest(Stream *stream, uint64_t seq, int64_t stamp_ns, int64_t source_ns, struct kept *large)
 {
     stream->latest_seq = seq;
     stream->latest_stamp_ns = stamp_ns;
     stream->latest_source_ns = source_ns;
-    leave_kept(stream->large);
+    struct kept *before = stream->large;
     if ((stream->large = large))
         __atomic_add_fetch(&large->owners, 1, __ATOMIC_RELAXED);
+    return before;
 }
 
 static uint8_t *scratch_of(Passage *self, int output) { return self->scratch + (size_t)output * LARGEST_OUTPUT; }

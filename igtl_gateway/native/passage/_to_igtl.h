@@ -86,7 +86,7 @@ static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize
     count_recording(self, TO_IGTL, passed_ns);
     stream->received++;
     stream->converted++;
-    set_latest(stream, seq, stamp_ns, source_ns, NULL);
+    leave_kept(set_latest(stream, seq, stamp_ns, source_ns, NULL));
     stream->latest_size = size;
     memcpy(stream->latest, cdr, (size_t)size);
     attend_recorder(self);

@@ -110,7 +110,7 @@ static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize
     if (kept) {
         move_kept(kept, ADMITTED);
         move_kept(kept, FILLED); /* its bytes are recorded from where they were read */
-        set_latest(stream, seq, stamp_ns, source_ns, kept);
+        leave_kept(set_latest(stream, seq, stamp_ns, source_ns, kept));
         stream->waits = chosen.waits;
         leave_kept(kept);
     }
