@@ -221,7 +221,7 @@ def _in_segments(file: SessionFile, chosen: _Chosen, reference: bool, workers: i
 
     try:
         segments = plan(file, chosen.losses, count)
-    except (GatewayError, OSError):  # as the whole says
+    except (GatewayError, OSError):  # the verification of the whole meets it, too
         return None
     return verify_in_segments(segments, run, file.entry_count) if segments else None
 

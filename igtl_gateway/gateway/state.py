@@ -2,7 +2,7 @@
 
 A verification in segments begins each with a state that a few inputs give, and needs proof that it is the state at the
 end of the segment before.  So the digest has all that the objects of a gateway hold, whatever it is, except for what
-the table names: counts and texts for people, and what is kept for speed.  What it does not know has no digest.
+the table names: counts and text for people, and what is kept for speed.  What it does not know has no digest.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.outcome import Bookkeeper
 from igtl_gateway.gateway.peers import Peer
 
-#: Attributes that decide nothing about outputs, apart from the texts of notes.
+#: Attributes that decide nothing about outputs, apart from the text of notes.
 _LEFT_OUT: Mapping[type, frozenset[str]] = {
     Gateway: frozenset({"fast_path", "fast", "prepare"}),  # equal results, or none
     Bookkeeper: frozenset({"ledger"}),

@@ -206,7 +206,7 @@ def test_a_clock_that_is_set_forward_makes_no_gap() -> None:
 
 
 def test_the_estimates_of_other_clocks_begin_again_after_a_step() -> None:
-    """The host's clock was set forward by an hour, which is no drift of the other one."""
+    """The host's clock was set forward by an hour, and the other one does not drift."""
     hour_ns = 3600 * S
     after = [message(each.stamp_ns - T0 + hour_ns + 5 * S, each.source_ns + 5 * S) for each in heard(1, 20 * MS)]
     step = clock_step(ClockStep.after(hour_ns, 0), 4 * S)

@@ -54,7 +54,7 @@ def check_golden(body: Body, data: bytes, is_shorter_form: Callable[[int], bool]
 
 
 def check_list(kind: type[Elements], size: int) -> None:
-    """Check what holds for each type that is a list: its name, the bytes of an element, and contents that are none."""
+    """Check what holds for each type that is a list: its name, the bytes of an element, and invalid contents."""
     assert BODIES[kind.NAME] is kind
     assert kind.DTYPE.itemsize == size
     for extra in (1, -1):

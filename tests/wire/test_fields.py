@@ -13,7 +13,7 @@ from tests.tables import table
 
 @given(st.binary(max_size=40))
 def test_text_fields_lose_nothing(data: bytes) -> None:
-    """Names are remembered, longer texts are not: both are read the same way."""
+    """Names are remembered, longer strings are not: both are read the same way."""
     assert encode_text(decode_text(data), 40, "x") == data.ljust(40, b"\0")
     assert decode_text(memoryview(data)) == decode_text(data) == decode_text(data + bytes(40))
     visible(decode_text(data)).encode("utf-8")

@@ -52,7 +52,7 @@ def test_encodings_of_strings(content: String, text: str) -> None:
     assert content.text == text
 
 
-#: A text that each encoding has, as its standard writes it.
+#: A string that each encoding has, as its standard writes it.
 SPELLED = {
     3: (b"abc", "abc"),
     4: (b"\xfc", "ü"),

@@ -86,7 +86,7 @@ class _Igtl:
         ):
             return None
         body = memoryview(data)[HEADER_SIZE:]
-        # a number that is no number may lose bits in the codec
+        # NaN may lose bits in the codec
         if crc64(body) != _U64.unpack_from(data, _CRC_AT)[0] or not math.isfinite(
             sum(unpack_from(f">{(end - begin) // 4}f", data, begin))
         ):

@@ -137,7 +137,7 @@ class Pen:
         self.source_ns = 0 if timeless(entry.source_ns) else entry.source_ns
 
     def at_rows(self, rows: Rows) -> None:
-        """Set the times of the following rows from many messages; their stamps are none that is ``timeless``."""
+        """Set the times of the following rows from many messages; none of their stamps is ``timeless``."""
         self.rows = rows
 
     def at_row(self, rows: Rows, row: int) -> None:

@@ -163,7 +163,7 @@ def test_a_picture_of_another_kind_does_not_fit(other: Image) -> None:
 
 
 def test_places_of_pictures() -> None:
-    """P of the wire is the centre; a matrix that is none has the place of the picture before it."""
+    """P of the wire is the centre; an invalid matrix has the place of the picture before it."""
     moved = (*MATRIX[:9], 11.0, 20.0, 30.0)
     made = pictures(picture(), picture(matrix=(0.0,) * 12), picture(matrix=moved))
     first, second, third = made.placed()

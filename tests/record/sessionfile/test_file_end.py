@@ -67,7 +67,7 @@ def test_an_end_is_taken_apart_and_put_together_anywhere(name: str) -> None:
     for at in (AT, 0, 2**40):
         data = end.pack(at)
         assert data.startswith(end.data_end) and data.endswith(MAGIC)
-        if at or end.data_end or end.groups is None:  # a summary at 0 is none
+        if at or end.data_end or end.groups is None:  # at 0: there is no summary
             assert FileEnd.parse(data, at) == end
 
 
