@@ -50,13 +50,21 @@ static int is_inside(const struct recorded *all, ssize_t row)
     return 0 <= all->begins[row] && all->begins[row] <= all->ends[row] && all->ends[row] <= all->size;
 }
 
+#define LATEST_NS ((uint64_t)1 << 62) /* the year 2116 */
+
+/* Whether a number is ``step`` more than another one; both may be any. */
+static int is_after(int64_t number, int64_t other, int64_t step)
+{
+    return (uint64_t)number == (uint64_t)other + (uint64_t)step;
+}
+
 /* Whether an entry is the ``step``-th output of an input, with these bytes. */
 static int is_output(const struct recorded *all, ssize_t input, ssize_t step, uint64_t ident, int64_t shown_ns,
                      const uint8_t *bytes, ssize_t size)
 {
     ssize_t row = input + step;
     return row < all->count && all->idents[row] >= 0 && (uint64_t)all->idents[row] == ident &&
-           all->numbers[row] == all->numbers[input] + step && all->times[row] == all->times[input] + step &&
+           is_after(all->numbers[row], all->numbers[input], step) && is_after(all->times[row], all->times[input], step) &&
            shown_ns > 0 && all->sources[row] == shown_ns && is_inside(all, row) &&
            all->ends[row] - all->begins[row] == size && !memcmp(all->data + all->begins[row], bytes, (size_t)size);
 }
@@ -203,6 +211,8 @@ static Stream *compiled_stream(const struct recorded *all, ssize_t row)
     Stream *stream = NULL;
     if (ident < 0 || ident >= all->streams || !is_inside(all, row))
         return NULL;
+    if ((uint64_t)all->times[row] > LATEST_NS || (uint64_t)all->sources[row] > LATEST_NS)
+        return NULL; /* the guard adds to them */
     const ssize_t size = all->ends[row] - all->begins[row];
     if (all->links[ident])
         stream = size < HEADER_SIZE ? NULL : stream_of(all->links[ident], all->data + all->begins[row], size);
@@ -219,7 +229,7 @@ static struct rechecked recheck(const struct recorded *all, ssize_t row, int64_t
     struct rechecked done = {.row = row, .last_input = -1};
     struct room room = {0};
     for (; done.row < all->count; done.inputs++) {
-        if (all->numbers[done.row] != last_number + 1) {
+        if (!is_after(all->numbers[done.row], last_number, 1)) {
             done.why = NOT_COMPILED;
             break;
         }
