@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from itertools import chain
 from typing import IO
 
@@ -14,7 +14,7 @@ from igtl_gateway.record.sessionfile.channels import ChannelSummary, joined
 from igtl_gateway.record.sessionfile.chunk_columns import Columns, Row
 from igtl_gateway.record.sessionfile.columns import END_NS, EntryColumns, Stream
 from igtl_gateway.record.sessionfile.definition import Definition
-from igtl_gateway.record.sessionfile.lookup import LatchedStateRule
+from igtl_gateway.record.sessionfile.lookup import LatchedStateRule, Numbers
 from igtl_gateway.record.sessionfile.merged import Definitions
 from igtl_gateway.record.sessionfile.reader import SessionFile
 
@@ -86,6 +86,10 @@ class SessionWithState(SessionFile):
         """As SessionFile.columns."""
         files = (self.before, self.itself)
         return chain.from_iterable([file.columns(start_ns, end_ns, wanted) for file in files])
+
+    def times(self) -> Iterator[tuple[Mapping[int, Stream], Numbers, Numbers]]:
+        """As SessionFile.times."""
+        return chain(self.before.times(), self.itself.times())
 
     def span(self, channel: ChannelSummary) -> tuple[int, int]:
         """As SessionFile.span."""

@@ -32,7 +32,8 @@ EXAMPLES = """\
   igtl-gateway bench --case transform --against "my_bridge --port {port}"
   # measurements other than the transfer of messages
   igtl-gateway bench --case start-up idle replay verify
-  # the verbs on recordings of 10 s, beside pymcap-cli and rerun: within five minutes, also without ROS
+  # the verbs on recordings of 10 s, beside pymcap-cli and rerun: within five
+  # minutes, also without ROS
   igtl-gateway bench --case offline
   # the same on 300 s in three rounds, which the goals are for: an hour
   igtl-gateway bench --case offline --duration 300 --rounds 3

@@ -58,7 +58,7 @@ def run(
 
 def in_this_process(work: RunSettings, todo: Any, where: RunPlace) -> Any:
     """The replies without threads and programs, one after the other."""
-    for file, content in todo:
+    for file, content, segment in todo:
         job = {
             "name": file.name,
             "size": file.size,
@@ -68,7 +68,7 @@ def in_this_process(work: RunSettings, todo: Any, where: RunPlace) -> Any:
             "limits": [],
             "content": content,
         }
-        yield (file, content), run_job(job)
+        yield (file, content, segment), run_job(job)
 
 
 def rows(out: Path) -> dict[str, list[dict[str, Any]]]:
