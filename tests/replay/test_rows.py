@@ -183,7 +183,7 @@ def test_a_fixture_beside_itself_and_another(path: Path) -> None:
         assert columns == plain and mixed == plain and not isinstance(plain, str)
 
 
-def run_at_a_lag(lag: int, count: int = 3_000) -> list[Entry]:
+def run_at_a_lag(lag: int, count: int = 2_100) -> list[Entry]:
     """A fast stream whose messages are later than those of another stream, behind a first entry at the same time."""
     entries = [replace(samples.igtl(1), stamp_ns=samples.START_NS)]
     for number in range(count):
@@ -192,7 +192,7 @@ def run_at_a_lag(lag: int, count: int = 3_000) -> list[Entry]:
     return entries
 
 
-@table("lag", [0, 1, 900, 1_023, 1_024, 1_025, 2_000])
+@table("lag", [1, 1_024, 1_025])
 def test_a_stream_that_is_later_on_one_side(tmp_path: Path, lag: int) -> None:
     rng = random.Random(lag)
     one, other = write(tmp_path / "a.mcap", run_at_a_lag(0), rng), write(tmp_path / "b.mcap", run_at_a_lag(lag), rng)
