@@ -133,7 +133,7 @@ LONG_FILES = {
 LONG = (
     *LONG_FILES,
     *(f"addons/review/test_assess.py::test_the_{name}" for name in ("planted_", "distances_", "noise_")),
-    "addons/cohort/test_segments.py::test_segments_have_the_result_of_the_file[Dask-wrong",
+    "addons/cohort/test_segments.py::test_segments_have_the_result_of_the_file[Dask-",
     "addons/cohort/test_segments.py::test_segments_have_the_result_of_the_file[here-wrong",
     "addons/deidentify/test_repeated.py::test_every_fixture",
     "addons/exchange/test_chosen_rows.py::test_many_random_sessions",
@@ -160,6 +160,7 @@ LONG = (
     *(f"lab/cli/test_bench.py::test_{name}" for name in ("a_real_run", "a_bridge_that", "the_mixed_load")),
     "replay/test_rows.py::test_many_sessions",
     "replay/test_segments.py::test_a_change_in_the_recording_is_never_hidden",
+    "replay/test_segments.py::test_killed_processes",
     "replay/test_slice_columns.py::test_a_slice_of_a_fixture",
     *(f"test_gateway_fuzz.py::test_{name}" for name in ("igtl_in", "ros_in", "the_gateway_stands")),
     *(f"test_release.py::test_the_{name}" for name in ("sums", "wheels", "sdist", "sbom")),

@@ -26,7 +26,7 @@ from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.silences import STREAM_SILENT, Silences
 from igtl_gateway.record.options import RecordOptions
-from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.recorder import MOVES, STALLED, Recorder
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.verify import DeclaredLosses, verify
 from igtl_gateway.wire import Message, encode
@@ -206,7 +206,7 @@ def test_every_part_of_a_session_verifies_alone(name: str, split_s: float, tmp_p
     for entry in entries:
         recorder(entry)
     *parts, _ = recorder.close({}).files
-    assert notes == []
+    assert [note for note in notes if note.code not in (MOVES, STALLED)] == []  # they come with the load
     assert len(parts) >= 4
     compared = 0
     for part in parts:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from igtl_gateway.gateway.log.note import Note
-from igtl_gateway.record.recorder import LATE, MOVES, ON_TIME, STALLED
+from igtl_gateway.record.recorder import LATE, ON_TIME
 
-#: That the file is behind or gets no processor, and that it does again: whether they come depends on the load.
-LATENESS = frozenset({LATE, ON_TIME, STALLED, MOVES})
+#: That the file is behind, and that it is not any more: whether they come depends on the load of the machine.
+LATENESS = frozenset({LATE, ON_TIME})
 
 
 class TimelessNotes(list[Note]):

@@ -84,7 +84,7 @@ def test_a_slice_of_a_fixture_is_the_same_file(path: Path, tmp_path: Path) -> No
         both(path, window, tmp_path)
 
 
-@table("seed", range(4))
+@table("seed", range(2))
 def test_a_slice_of_a_random_session_is_the_same_file(seed: int, tmp_path: Path) -> None:
     chance = random.Random(seed)
     config, entries = random_session(chance)
@@ -119,7 +119,7 @@ def unwritten_before(entries: list[Entry], places: Sequence[int]) -> list[Entry]
 
 
 @table("chunk_bytes", [500, 5_000, 1 << 20])
-@table("seed", range(4))
+@table("seed", range(2))
 def test_the_state_before_a_window_is_the_same(seed: int, chunk_bytes: int, tmp_path: Path) -> None:
     """Also with notes about the message after them, and where groups are in two chunks."""
     chance = random.Random(seed)
