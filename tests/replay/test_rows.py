@@ -165,7 +165,7 @@ def check_random_pair(folder: Path, seed: int) -> None:
     assert mixed == plain, seed
 
 
-@table("seed", range(40))
+@table("seed", range(12))
 def test_two_sessions(tmp_path: Path, seed: int) -> None:
     check_random_pair(tmp_path, seed)
 
