@@ -6,7 +6,7 @@ read comes as the error of ``SessionFile.entries``, behind the rows before it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from typing import Any, Protocol
 
@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.record.sessionfile import layout
-from igtl_gateway.record.sessionfile.columns import EntryColumns, Stream, Unfit, WireHead
+from igtl_gateway.record.sessionfile.columns import EntryColumns, Unfit
+from igtl_gateway.record.sessionfile.stream_rows import StreamNumbers
 
 Array = npt.NDArray[Any]
 Numbers = npt.NDArray[np.int64]
@@ -24,7 +24,6 @@ Numbers = npt.NDArray[np.int64]
 #: Entries of one batch where they come one by one, and bytes of it.
 _BATCH, _BATCH_BYTES = 256, 1 << 20
 _FAR_NS = 1 << 63
-_CHANNELS = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,10 +207,10 @@ def rows_of(file: Readable, heads: Heads) -> Iterator[Rows]:
 
 def rows_of_columns(blocks: Iterable[EntryColumns], heads: Heads) -> Iterator[Rows]:
     """The rows of the columns of a file."""
-    maker = _RowMaker(heads)
+    streams = StreamNumbers(heads.number)
     for columns in blocks:
         try:
-            rows = maker.rows(columns)
+            rows = _rows(columns, heads, streams)
         except GatewayError:
             # the same columns one by one: the rows before the first fault, and its error
             yield from rows_of_entries(columns.entries(), heads)
@@ -219,56 +218,16 @@ def rows_of_columns(blocks: Iterable[EntryColumns], heads: Heads) -> Iterator[Ro
         yield rows
 
 
-class _RowMaker:
-    """Makes the rows of columns; keeps the numbers of the heads of each stream."""
-
-    def __init__(self, heads: Heads) -> None:
-        self._heads = heads
-        self._streams: Mapping[int, Stream] | None = None
-        self._known: Any = None
-        self._wire: dict[int, int] = {}
-
-    def rows(self, columns: EntryColumns) -> Rows:
-        """Raises DamagedRecording."""
-        if columns.streams is not self._streams:
-            self._streams = columns.streams
-            self._table = np.full(_CHANNELS, -1, np.int32)
-            for number, stream in columns.streams.items():
-                if stream.kind in layout.ROS_KINDS:
-                    self._table[number] = self._heads.number(stream.kind, stream.channel, stream.type, ())
-        heads = self._table[columns.channels]
-        begins, ends = columns.begins.copy(), columns.ends.copy()
-        stamps = columns.source_times()
-        others = np.flatnonzero(heads < 0)
-        notes = others
-        which = np.zeros(len(columns), np.int32)
-        buffers: tuple[bytes, ...] = (columns.data,)
-        if len(others):
-            wire = columns.wire()
-            notes = np.setdiff1d(others, wire.rows, assume_unique=True) if len(wire) < len(others) else others[:0]
-            heads[wire.rows] = self._wire_heads(wire.known, 2 * wire.heads + wire.outgoing)
-            begins[wire.rows] = wire.begins
-            stamps[wire.rows] = wire.source_times
-        if len(notes):
-            made = _of_entries(list(columns.where(notes).entries()), self._heads)
-            buffers = (*buffers, *made.buffers)
-            which[notes], begins[notes], ends[notes], heads[notes] = 1, made.begins, made.ends, made.heads
-            stamps[notes] = 0
-        return Rows(buffers, which, begins, ends, heads, columns.numbers, _times(columns.times), _times(stamps))
-
-    def _wire_heads(self, known: Any, places: Array) -> Array:
-        """Numbers of the heads at twice the place in ``known``, and one more of what goes out."""
-        if known is not self._known:
-            self._known, self._wire = known, {}
-        table = np.zeros(2 * len(known), np.int32)
-        for place in np.flatnonzero(np.bincount(places)).tolist():
-            table[place] = self._wire_head(known, place)
-        return table[places]
-
-    def _wire_head(self, known: Any, place: int) -> int:
-        number = self._wire.get(place)
-        if number is None:
-            head: WireHead = known[place // 2]
-            kind = Kind.IGTL_OUT if place % 2 else Kind.IGTL_IN
-            number = self._wire[place] = self._heads.number(kind, head.channel, head.type, head.links)
-        return number
+def _rows(columns: EntryColumns, heads: Heads, streams: StreamNumbers) -> Rows:
+    """The rows of columns.  Raises DamagedRecording."""
+    found = streams.of(columns)
+    numbers, begins, ends, stamps = found.idents, found.begins, found.ends, found.sources
+    which = np.zeros(len(columns), np.int32)
+    buffers: tuple[bytes, ...] = (columns.data,)
+    notes = np.flatnonzero(numbers < 0)
+    if len(notes):
+        made = _of_entries(list(columns.where(notes).entries()), heads)
+        buffers = (*buffers, *made.buffers)
+        which[notes], begins[notes], ends[notes], numbers[notes] = 1, made.begins, made.ends, made.heads
+        stamps[notes] = 0
+    return Rows(buffers, which, begins, ends, numbers, columns.numbers, _times(columns.times), _times(stamps))
