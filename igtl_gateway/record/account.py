@@ -1,4 +1,4 @@
-"""What is not in the recording though it should be, by stream, and what was counted when it began or paused."""
+"""The entries that the recording lacks, by stream, and the counts at its last start and pause."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ def test_values_of_a_command_are_positions_of_joints(names: str, values: list[fl
 def test_joints_are_an_array_and_come_back(
     positions: list[float], velocities: list[float], efforts: list[float], count: int
 ) -> None:
-    """One joint is the least; what is not known of a joint has a mark that it is not."""
+    """One joint is the least; a value of a joint that is not known is marked so."""
     vectors = [np.array(each, np.float64) for each in (positions, velocities, efforts)]
     names = tuple(f"j{number}" for number in range(max(map(len, vectors))))
     message = JointState(Header(5, "base"), names, *vectors)

@@ -1,4 +1,4 @@
-"""What is not in the recording is counted by stream."""
+"""The entries that a recording lacks, counted by stream."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ class RowKind:
     Attributes:
         most: number of rows that are collected.
         dtype: of their numbers; "" for arrays of different lengths.
-        columns: makes columns for rerun of looks (what is not a number), the look of each row, and numbers.
+        columns: makes columns for rerun from the looks (all but the numbers), the look of each row, and the numbers.
     """
 
     most: int

@@ -2,7 +2,7 @@
 
 Messages of a stream mostly differ in numbers and stamps only: they have one *form*.  Read by CdrRows they are one
 message whose numbers are columns.  The function of the table draws it on a :class:`RowsCanvas`, which passes rows of
-columns to the canvas of the topic.  What is not so simple raises Unlike, and is drawn message by message.
+columns to the canvas of the topic.  Other messages raise Unlike, and are drawn one by one.
 """
 
 from __future__ import annotations
