@@ -20,7 +20,7 @@ from fastcrc import crc64
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, Role, row_to_igtl
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.registry import describe_content
-from tests.integration.bridge import Bridge, RawPeer, RosClient, Wire, extended, free_port, header, unextended
+from tests.integration.bridge import Bridge, Event, RawPeer, RosClient, Wire, extended, free_port, header, unextended
 from tests.peers import only, reference
 from tests.peers.reference import ReferencePeer
 from tests.tables import table
@@ -1256,10 +1256,13 @@ class World:
     cpp: ReferencePeer | None
 
     def link(self, peer: RawPeer) -> int:
-        """The number of a peer's link."""
-        (event,) = self.bridge.wait_events(
-            lambda event: event.get("code") == "link_up" and event["data"]["peer"] == peer.name, f"link {peer.name}"
-        )
+        """The number of a peer's link. A port may be that of a peer that has left."""
+
+        def wanted(event: Event) -> bool:
+            gone = [one["links"] for one in list(self.bridge.events) if one.get("code") == "link_down"]
+            return event.get("code") == "link_up" and event["data"]["peer"] == peer.name and event["links"] not in gone
+
+        (event,) = self.bridge.wait_events(wanted, f"link {peer.name}")
         (number,) = event["links"]
         return int(number)
 

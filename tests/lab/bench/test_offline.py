@@ -37,6 +37,7 @@ def test_mixed_has_both_sides_and_calls(tmp_path: Path) -> None:
 def test_a_row_for_each_verb_with_what_is_absent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(offline, "_MADE", {"A": (recordings.small, 1)})
     monkeypatch.setattr(offline, "_JOBS", (offline.Job("info", "A", "info {file}", "no-such-program info {file}"),))
+    monkeypatch.setattr(offline, "_RECEIVED_BYTES", 4096)  # more than one read, which a rate needs
     info, replay = WORKS["offline"].run(WorkContext(tmp_path, SystemClock(), lambda _line: None, duration_s=1.0))
     assert info["stream"] == "info, A" and info["other"] == "no-such-program info, absent" and "cpu_ratio" not in info
     assert info["cpu_s"] > 0 and info["peak_mb"] > 1
