@@ -9,7 +9,10 @@ import numpy.typing as npt
 
 from igtl_gateway.addon import NS_PER_S
 from igtl_gateway.addons.sync.lag import Lag
-from igtl_gateway.addons.sync.signal import Floats, Signal, main_component
+from igtl_gateway.addons.sync.signal import GAP, Floats, Signal, main_component
+
+#: Percentile of the pauses that is usual, also where messages come in pairs; part of a picture that one can see.
+_USUAL, _SEEN = 75, 300
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,11 +21,18 @@ class Curve:
 
     Attributes:
         times_ns: int64 (N,), UTC ns, as stamped.
-        values: float64 (N,), without unit: standard deviation 1.
+        values: float64 (N,), without unit: standard deviation 1; NaN in the middle of a gap, where nothing is known.
     """
 
     times_ns: npt.NDArray[np.int64]
     values: Floats
+
+    @property
+    def alone(self) -> Curve:
+        """The samples between two gaps: a line does not show them."""
+        unknown = np.concatenate([[True], np.isnan(self.values), [True]])
+        found = ~unknown[1:-1] & unknown[:-2] & unknown[2:]
+        return Curve(self.times_ns[found], self.values[found])
 
 
 def lag_text(lag: Lag) -> str:
@@ -48,7 +58,19 @@ def lag_curves(fixed: Signal, moving: Signal, lag: Lag) -> tuple[Curve, Curve, i
         seen = np.interp(one.times_ns - begin_ns, other.times_ns - late_ns - begin_ns, other.values)
         if float(np.sum(seen * one.values)) < 0:
             other = Curve(other.times_ns, -other.values)
-    return one, other, late_ns
+    return _with_gaps(one), _with_gaps(other), late_ns
+
+
+def _with_gaps(curve: Curve) -> Curve:
+    """Return the curve with a NaN in each gap: a pause of several usual intervals, which a picture shows."""
+    if len(curve.times_ns) < 3:
+        return curve
+    pauses = np.diff(curve.times_ns)
+    usual_ns = float(np.percentile(pauses, _USUAL))
+    least_ns = max(GAP * usual_ns, float(curve.times_ns[-1] - curve.times_ns[0]) / _SEEN)
+    gaps = np.flatnonzero(pauses > least_ns)
+    middles = curve.times_ns[gaps] + pauses[gaps] // 2
+    return Curve(np.insert(curve.times_ns, gaps + 1, middles), np.insert(curve.values, gaps + 1, np.nan))
 
 
 def _curve(signal: Signal, begin_ns: int, end_ns: int) -> Curve:

@@ -56,14 +56,18 @@ def _draw_signals(axes: Axes, fixed: Signal, moving: Signal, lag: Lag) -> None:
     """The main components, normalised, in the common time; the moving one without its lag."""
     one, other, late_ns = lag_curves(fixed, moving, lag)
     begin_ns = int(max(fixed.times_ns[0], moving.times_ns[0]))
-    seconds = (one.times_ns - begin_ns) / NS_PER_S
-    others = (other.times_ns - late_ns - begin_ns) / NS_PER_S
-    axes.plot(seconds, one.values, color=_FIXED, linewidth=1, label=fixed.name)
     label = f"{moving.name}, {-late_ns / 1e6:+.1f} ms" if late_ns else moving.name
-    axes.plot(others, other.values, color=_MOVING, linewidth=0.8, label=label)
+    for curve, early_ns, name, colour in ((one, 0, fixed.name, _FIXED), (other, late_ns, label, _MOVING)):
+        alone = curve.alone  # a line breaks at a gap, and does not show what is between two
+        axes.plot(_seconds(curve.times_ns - early_ns, begin_ns), curve.values, color=colour, linewidth=0.9, label=name)
+        axes.plot(_seconds(alone.times_ns - early_ns, begin_ns), alone.values, ".", color=colour, markersize=3)
     axes.set_xlabel("s")
     axes.set_ylabel("movement")
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False, fontsize="small")
+
+
+def _seconds(times_ns: Any, begin_ns: int) -> Any:
+    return (times_ns - begin_ns) / NS_PER_S
 
 
 def _draw_search(axes: Axes, lag: Lag) -> None:

@@ -18,7 +18,7 @@ LARGEST = 1e60
 _MOST_GRID = 1 << 20  # samples of a grid: stamps may lie, and be centuries apart
 _POWER = 0.98  # part of the power of a movement that its bandwidth has to have
 _MARGIN = 1.5
-_GAP = 3.0  # periods without a sample from which on a signal is unknown
+GAP = 3.0  # periods without a sample from which on a signal is unknown
 _EDGE = 2.0  # standard deviations of the filter: nearer to an end, its result is off by more than 5 % of them
 _REFERENCE_HZ = 1.5  # cut-off above which nothing counts as the movement of a reference: noise does not move
 _HYSTERESIS = 0.2  # part of the range of a movement that a reversal has to exceed
@@ -100,7 +100,7 @@ class Filtered:
         grid = _smoothed(raw, sigma_s / step_s)
         smooth = np.stack([np.interp(times, at, column) for column in grid.T], axis=1)
         noise = float(np.sqrt(np.mean((signal.values - smooth) ** 2)))
-        return cls(times, noise, step_s, grid, np.gradient(grid, step_s, axis=0), _GAP * period, _EDGE * sigma_s)
+        return cls(times, noise, step_s, grid, np.gradient(grid, step_s, axis=0), GAP * period, _EDGE * sigma_s)
 
     def covers(self, at: Floats) -> npt.NDArray[np.bool_]:
         """Return at which times (s) the signal is known: between samples that are not far apart."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -114,9 +115,9 @@ def test_the_report_escapes_all_foreign_text(out: Path, tmp_path: Path) -> None:
     assert "<script" not in text
     assert "\x1b" not in text
     assert text.count("&lt;script&gt;") >= 4
-    assert "of 3 stitches of the last versions, 1 were corrected" in text
+    assert "of 3 stitches of the last versions, 1 was corrected" in text
     assert "http" not in text  # nothing is loaded from elsewhere
-    assert ">50%</text>" in text  # of the two stitches with 0.22 mm, one was corrected
+    assert ">50%<div" in text  # of the two stitches with 0.22 mm, one was corrected
 
 
 def test_an_empty_cohort_has_a_report(tmp_path: Path) -> None:
@@ -125,7 +126,43 @@ def test_an_empty_cohort_has_a_report(tmp_path: Path) -> None:
         results.add({"tasks": [task(1, "info", "timeout")]}, {})
     page = tmp_path / "report.html"
     assert main(["cohort", "report", "-o", str(tmp_path / "out"), "--html", str(page)]) == 0
-    assert "1 files." in page.read_text("utf-8")
+    text = page.read_text("utf-8")
+    assert "<p>1 file.</p>" in text
+    titles = re.findall("<h2>(.*?)</h2>", text)
+    assert titles == ["Sessions", "Files without a result", "Not on this page"], "no heading stands over nothing"
+    assert "Not asked yet: lint, verify, review, sync" in text
+
+
+def test_a_report_compares_only_what_differs(tmp_path: Path) -> None:
+    results = Results(tmp_path / "out")
+    names = ("10.mcap", "9.mcap", "b.mcap", "A.mcap")
+    with results.locked():
+        rows = {
+            "tasks": [task(0, "lint") | {"task": name, "file": name} for name in names]
+            + [task(0, "info", "broken", "cut off") | {"task": f"i{name}", "file": name} for name in names],
+            "latencies": [
+                {"task": name, "file": name, "host": name, "messages": 3, "least_ms": 1.0, "jitter_ms": 0.0}
+                | {"spread_ms": 2e-7 * number}
+                for number, name in enumerate(names)
+            ],
+        }
+        results.add(rows, {})
+    page = tmp_path / "report.html"
+    assert main(["cohort", "report", "-o", str(tmp_path / "out"), "--html", str(page)]) == 0
+    text = page.read_text("utf-8")
+    assert 'class="bars"' not in text, "spreads of less than a microsecond are no bars"
+    assert "0.0000" not in text
+    assert text.count("&lt; 0.001") == 3
+    titles = re.findall("<h2>(.*?)</h2>", text)
+    assert titles == [
+        "Sessions",
+        "Files without a result",
+        "What lint finds most",
+        "Latency by peer",
+        "Not on this page",
+    ]
+    ordered = ["9.mcap", "10.mcap", "A.mcap", "b.mcap"]
+    assert re.findall(r'<td class="long">([^<]*mcap)</td>', text) == ordered * 2
 
 
 @pytest.mark.parametrize(
