@@ -20,13 +20,15 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+import numpy as np
+
 from igtl_gateway.app.verification import Verification, verify_recording
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.config.configuration import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import rosmsg
-from igtl_gateway.convert.common_msgs import PoseStamped
+from igtl_gateway.convert.common_msgs import JointState, PoseStamped
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, TICK, Gateway, Session
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -44,7 +46,13 @@ from igtl_gateway.wire.transform import Position, Transform
 
 START_NS = 1_767_225_600_000_000_000
 CONFIG = Config(
-    to_igtl=(ToIgtlRow(topic="/a"), ToIgtlRow(topic="/b", max_age_s=30.0), ToIgtlRow(topic="/text")),
+    to_igtl=(
+        ToIgtlRow(topic="/a"),
+        ToIgtlRow(topic="/b", max_age_s=30.0),
+        ToIgtlRow(topic="/text"),
+        ToIgtlRow(topic="/joints"),
+        ToIgtlRow(topic="/arm", type="NDARRAY", max_age_s=30.0),
+    ),
     to_ros=(ToRosRow(device="Aged", max_age_s=30.0),),
 ).watched()
 
@@ -82,10 +90,14 @@ class _World:
         place, turn = self.numbers(step), tuple(self.chance.uniform(-1, 1) for _ in range(4))
         source_ns = self.chance.choice([0, self.now_ns - 1])
         message: Any
-        if kind < 0.6:
+        if kind < 0.5:
             topic, message = "/a", TransformStamped(header, "tool", place, turn)  # type: ignore[arg-type]
-        elif kind < 0.9:
+        elif kind < 0.75:
             topic, message = "/b", PoseStamped(header, (*place, *turn))  # type: ignore[arg-type]
+        elif kind < 0.9:
+            topic = "/joints" if kind < 0.85 else "/arm"
+            names = self.chance.choice([("q1", "wrist", "q3")] * 60 + [("q1", "elbow", "q3"), ()])
+            message = JointState(header, names, np.array(place), np.array(turn[:3]))
         else:
             topic, message = "/text", rosmsg.String(f"text {step}")
         self.feed(Kind.ROS_IN, message.pack(), channel=topic, type_name=message.TYPE, source_ns=source_ns)

@@ -197,9 +197,11 @@ COMPILED = False
 #: the sample, Image of BGR → IMAGE of RGB, POLYDATA of points and triangles ⇄ Mesh, and the same ⇄ Marker of triangles
 #: (to OpenIGTLink only without colours and rotation), TDATA and QTDATA ⇄ messages of poses with the sample's tools,
 #: the metadata of any of them → Metadata, IMAGE → Volume with everything but the pixels as in the sample,
-#: POINT with the sample's labels → PointList.
+#: POINT with the sample's labels → PointList, JointState → SENSOR and NDARRAY.
 #: Clouds to OpenIGTLink have only the fields x, y and z as float32; all numbers are finite.
-TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, MESH, TRIANGLES, TOOLS, METADATA, VOLUME, LANDMARKS = range(12)
+TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, MESH, TRIANGLES, TOOLS, METADATA, VOLUME, LANDMARKS, NUMBERS = range(
+    13
+)
 
 FillTemplate = Callable[..., tuple[Any, ...] | None]
 
@@ -218,7 +220,8 @@ bulk_to_ros: FillTemplate | None = None
 #: an image the offsets, the size of its data, and zeros; for a marker the offsets of its pose and of its points, their
 #: size, the bytes from their number to them, and zeros; then begin and end of each part of the sample that must be
 #: equal; for tools their number, the size of the message, the bytes of one, and zeros: in the sample, content and rows
-#: (``gateway/fastpath/tools.py``) follow the message.  ``size``: the conversion.  ``forms``: for each form the bytes
+#: (``gateway/fastpath/tools.py``) follow the message; for numbers the same with that of their rows and the size of
+#: the content (``gateway/fastpath/joints.py``).  ``size``: the conversion.  ``forms``: for each form the bytes
 #: before and after the content, and the offset of the digits in the latter.  The result has a tuple of buffers for a
 #: large image: its pixels are a view on ``cdr``.
 bulk_to_igtl: FillTemplate | None = None

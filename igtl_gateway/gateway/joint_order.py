@@ -18,9 +18,14 @@ _STATE = "/measured_js"
 _MAX_ARMS = 1_000
 
 
+def is_state(topic: str) -> bool:
+    """Return whether a topic has the measured joints of an arm, whose names may fix an order."""
+    return topic.endswith(_STATE)
+
+
 def names_of_state(entry: Entry) -> tuple[str, ...]:
     """Return the names of a valid measured state from ROS whose joints have a name each; () for all else."""
-    if entry.kind is not Kind.ROS_IN or entry.type != JointState.TYPE or not entry.channel.endswith(_STATE):
+    if entry.kind is not Kind.ROS_IN or entry.type != JointState.TYPE or not is_state(entry.channel):
         return ()
     try:
         joints = JointState.unpack(entry.payload[0])

@@ -290,7 +290,7 @@ static int read_ros_bulk(PyObject *places_of, PyObject *factors, struct ros_bulk
     if (!PyArg_ParseTuple(factors, "dd", &stream->times, &stream->by))
         return 0;
     const int has_places = stream->form != TEXT && stream->form != MESH;
-    if (stream->form < TEXT || stream->form == POINT || stream->form > TOOLS ||
+    if (stream->form < TEXT || stream->form == POINT || (stream->form > TOOLS && stream->form != NUMBERS) ||
         (has_places && (count < 6 || count % 2 || count > 6 + 2 * MAX_PLACES))) {
         PyErr_SetString(PyExc_ValueError, "bulk_to_igtl: invalid form or places");
         return 0;

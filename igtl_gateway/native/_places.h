@@ -4,7 +4,7 @@
 
 #include "kernel/_bulk_to_igtl.h"
 
-/* Read the places of a cloud, a picture or of tools (express.py); 0: an exception is set. */
+/* Read the places of a cloud, a picture, of tools or of numbers (express.py); 0: an exception is set. */
 static int read_places(PyObject *places, struct ros_bulk *stream, ssize_t numbers[], Py_ssize_t count)
 {
     for (Py_ssize_t i = 0; i < count; i++)

@@ -13,13 +13,14 @@ import numpy as np
 
 from igtl_gateway.base.buffers import Buffer, join
 from igtl_gateway.config.settings import SOURCE
-from igtl_gateway.convert import clouds, express, images, poses, rosmsg, surfaces, texts, tracking
-from igtl_gateway.convert.common_msgs import PoseArray, PoseStamped
+from igtl_gateway.convert import clouds, express, images, numbers, poses, robots, rosmsg, surfaces, texts, tracking
+from igtl_gateway.convert.common_msgs import JointState, PoseArray, PoseStamped
 from igtl_gateway.convert.express import (
     BLUE_FIRST,
     CLOUD,
     MATRIX,
     MESH,
+    NUMBERS,
     PICTURE,
     POINTS,
     QUATERNION,
@@ -32,6 +33,7 @@ from igtl_gateway.convert.igtl_msgs import TrackingData
 from igtl_gateway.convert.rosmsg import PointCloud2, String, TransformStamped
 from igtl_gateway.gateway.fastpath.common import NAMES_AT, CompileContext, end_of_name
 from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
+from igtl_gateway.gateway.fastpath.joints import joints_places
 from igtl_gateway.gateway.fastpath.tools import tools_places
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.output import Output
@@ -63,13 +65,15 @@ _BULK_TO_IGTL: dict[Callable[..., Any], int] = {
     tracking.tracking_to_tdata: TOOLS,
     tracking.tracking_to_qtdata: TOOLS,
     tracking.poses_to_tdata: TOOLS,
+    numbers.joints_to_sensor: NUMBERS,
+    robots.joints_to_array: NUMBERS,
 }
 #: ROS types whose streams can be compiled.
 TYPES = frozenset(
     message.TYPE
     for message in (
         *(TransformStamped, PoseStamped, String, PointCloud2),
-        *(rosmsg.Image, rosmsg.Mesh, rosmsg.Marker, TrackingData, PoseArray),
+        *(rosmsg.Image, rosmsg.Mesh, rosmsg.Marker, TrackingData, PoseArray, JointState),
     )
 )
 _CLOUD_OF_ONE = PolyData(np.zeros((1, 3), ">f4"), vertices=Cells.of(np.zeros((1, 1), int)))
@@ -102,7 +106,7 @@ def compile_to_igtl(
     if form in (MESH, TRIANGLES):  # the bytes around the content are those around any content
         out = replace(out, content=_SMALL)
     content = size or sum(memoryview(part).nbytes for part in out.content.pack())
-    extra, tools = 0, None
+    extra, rows = 0, None
     if size:
         names: tuple[int, ...] | None = _names_of(cdr, two=entry.type == TransformStamped.TYPE)
     elif form == PICTURE:
@@ -111,8 +115,11 @@ def compile_to_igtl(
     elif form == TRIANGLES:
         names = _marker_places(cdr)
     elif form == TOOLS:
-        tools = tools_places(stream.conversion.message.unpack(cdr), cdr, out.content)
-        names = tools[1] if tools else None
+        rows = tools_places(stream.conversion.message.unpack(cdr), cdr, out.content)
+        names = rows[1] if rows else None
+    elif form == NUMBERS:
+        rows = joints_places(entry.channel, cdr, out.content)
+        names = rows[1] if rows else None
     else:
         names = () if form in (TEXT, MESH) else _cloud_places(cdr)
     if names is None:
@@ -140,7 +147,7 @@ def compile_to_igtl(
     own = common.config.stamp_of(stream.row) == SOURCE
     if stream.max_age_s and not own:
         return None
-    sample = tools[0] if tools else bytes(cdr) if size else bytes(cdr[: names[1] if names else 4])
+    sample = rows[0] if rows else bytes(cdr) if size else bytes(cdr[: names[1] if names else 4])
     place_at = len(sample) - _POSE_SIZE if size else None
     what = size or form or 0
     ratio = stream.lengths.ratio_to_igtl

@@ -14,6 +14,7 @@ from igtl_gateway.convert.express import (
     CLOUD,
     LANDMARKS,
     METADATA,
+    NUMBERS,
     PICTURE,
     POINT,
     POINTS,
@@ -32,7 +33,7 @@ from igtl_gateway.native.passage import Guard, Link, Passage, Publisher, Stream,
 from igtl_gateway.wire.header import HEADER_SIZE
 
 #: Conversions of bulk that can pass natively.
-_FORMS = frozenset({TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, TOOLS, METADATA, VOLUME, LANDMARKS})
+_FORMS = frozenset({TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, TOOLS, METADATA, VOLUME, LANDMARKS, NUMBERS})
 
 #: Largest message, in bytes, that the passage reads for Python, if the limits of the links permit it.
 LARGEST_BYTES = 16 << 20

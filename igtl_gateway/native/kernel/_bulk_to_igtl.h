@@ -2,6 +2,7 @@
 #ifndef IGTL_GATEWAY_KERNEL_BULK_TO_IGTL_H
 #define IGTL_GATEWAY_KERNEL_BULK_TO_IGTL_H
 
+#include "_numbers.h"
 #include "_pictures.h"
 #include "_points.h"
 #include "_surfaces.h"
@@ -23,7 +24,7 @@ static int find_text(const uint8_t *cdr, ssize_t size, struct found *found)
     return length <= MAX_TEXT && !plain_text(cdr + 8, length);
 }
 
-/* Set the places of a cloud, a picture or of tools: ``numbers`` are as express.py has them; 0: they are outside of the
+/* Set the places of a cloud, a picture, of tools or of numbers: ``numbers`` are as express.py has them; 0: they are outside of the
  * sample. */
 static int set_places(struct ros_bulk *stream, const ssize_t numbers[], ssize_t count)
 {
@@ -35,6 +36,8 @@ static int set_places(struct ros_bulk *stream, const ssize_t numbers[], ssize_t 
                  stream->y + 4 <= stream->step && stream->z + 4 <= stream->step;
     if (stream->form == TOOLS)
         inside = has_rows_from_ros(stream);
+    if (stream->form == NUMBERS)
+        inside = has_rows_of_numbers(stream);
     if (stream->form == TRIANGLES)
         inside &= stream->x >= 4 && stream->x <= stream->data_at && stream->height_at <= stream->data_at - 80;
     for (ssize_t i = 6; i < count; i += 2)
@@ -45,7 +48,7 @@ static int set_places(struct ros_bulk *stream, const ssize_t numbers[], ssize_t 
 /* Find the content of a message; 0: it needs the full path. */
 static int find_in_ros(const struct ros_bulk *stream, const uint8_t *cdr, ssize_t size, struct found *found)
 {
-    ssize_t least = stream->form == TOOLS ? stream->data_at : stream->size;
+    ssize_t least = stream->form == TOOLS || stream->form == NUMBERS ? stream->data_at : stream->size;
     found->header_ns = 0;
     if (size < least || least < 4 || !equal(cdr, stream->sample, 0, 4))
         return 0;
@@ -62,6 +65,9 @@ static int find_in_ros(const struct ros_bulk *stream, const uint8_t *cdr, ssize_
             return 0;
     } else if (stream->form == TOOLS) {
         if (!find_tools(stream, cdr, size, found))
+            return 0;
+    } else if (stream->form == NUMBERS) {
+        if (!find_numbers(stream, cdr, size, found))
             return 0;
     } else if (stream->form >= PICTURE) {
         found->count = found->size = stream->step;
@@ -101,6 +107,8 @@ static ssize_t put_next(const struct ros_bulk *stream, const struct found *found
         return put_next_of_surface(stream, found, out, done, block);
     if (stream->form == TOOLS)
         return put_tools_to_igtl(stream, found, out);
+    if (stream->form == NUMBERS)
+        return put_joints(stream, found, out);
     const struct points points = {.first = found->data,
                                   .step = stream->step,
                                   .x = stream->x,

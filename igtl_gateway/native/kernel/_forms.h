@@ -7,7 +7,7 @@
 #include "_poses.h"
 
 /* The conversions of bulk messages; the same numbers as in express.py. */
-enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3, PICTURE = 4, BLUE_FIRST = 5, MESH = 6, TRIANGLES = 7, TOOLS = 8, METADATA = 9, VOLUME = 10, LANDMARKS = 11 };
+enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3, PICTURE = 4, BLUE_FIRST = 5, MESH = 6, TRIANGLES = 7, TOOLS = 8, METADATA = 9, VOLUME = 10, LANDMARKS = 11, NUMBERS = 12 };
 
 #define POINT_BYTES 136 /* name 64, group 32, rgba 4, position 12, diameter 4, owner 20 */
 #define GROUP_AT 64
@@ -61,9 +61,10 @@ struct ros_bulk {
     ssize_t size;
     int form;
     ssize_t height_at, data_at;   /* of clouds and pictures; of a marker: those of its pose and of its points; of tools:
-                                   * their number, and the size of the message, which their content and rows follow */
+                                   * their number, and the size of the message, which their content and rows follow; of
+                                   * numbers the same with the number of rows */
     ssize_t step, x, y, z;        /* of the points of a cloud; step of a picture: the size of its data, of tools: that of
-                                   * one; x of a marker: the bytes from the number of its points to these */
+                                   * one, of numbers: that of the content; x of a marker: the bytes from the number of its points to these */
     const ssize_t *places;        /* begin and end of each part of the sample that must be equal */
     ssize_t places_count;         /* numbers in ``places`` */
     double times, by;

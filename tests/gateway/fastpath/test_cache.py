@@ -19,7 +19,7 @@ from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.config.configuration import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import express, poses, rosmsg
-from igtl_gateway.convert.common_msgs import PoseArray, PoseStamped
+from igtl_gateway.convert.common_msgs import JointState, PoseArray, PoseStamped
 from igtl_gateway.convert.igtl_msgs import MetadataItem, TrackedTool, TrackingData
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, LISTENED, Gateway, Session
 from igtl_gateway.gateway.fastpath import cache
@@ -366,6 +366,34 @@ def ros_tools(draw: st.DrawFn) -> Step:
     return "ros", topic, TrackingData.TYPE, cdr + end, draw(stamps)
 
 
+_JOINT_ODDITIES = ("frame", "name", "fewer", "velocity", "effort", "none", "end", "cut", "count", "nan", "stamp")
+
+
+@st.composite
+def ros_joints(draw: st.DrawFn) -> Step:
+    """JointState with at most one oddity, and padding as it was in the memory of the sender."""
+    odd = _mostly(draw, "", *_JOINT_ODDITIES)
+    stamp_ns = 0 if odd == "stamp" else draw(stamps.filter(lambda ns: ns < 2**31 * NS_PER_S))
+    count = 0 if odd == "none" else 2 if odd == "fewer" else 3
+    numbers = draw(st.lists(st.floats(), min_size=9, max_size=9))
+    if odd == "nan":
+        numbers[1] = math.nan
+    position, velocity, effort = (np.array(numbers[3 * part :][:count]) for part in range(3))
+    joints = JointState(
+        rosmsg.Header(stamp_ns, "m" if odd == "frame" else "base"),
+        ("q1", "elbow" if odd == "name" else "wrist", "q3")[: 2 if odd == "count" else count],
+        position,
+        velocity[: 1 if odd == "velocity" else count],
+        effort if odd == "effort" else effort[:0],
+    )
+    cdr = joints.pack()
+    if (at := cdr.find(b"q1\0")) > 0:
+        cdr = cdr[: at + 3] + draw(st.sampled_from([b"\0", b"?"])) + cdr[at + 4 :]
+    cdr = cdr[: len(cdr) - (8 if odd == "cut" else 0)] + (b"\0" if odd == "end" else b"")
+    topic = draw(st.sampled_from(["/igtl/out/Joints", "/igtl/out/Joints", "/igtl/out/Array", "/arm/measured_js"]))
+    return "ros", topic, JointState.TYPE, cdr, draw(stamps)
+
+
 #: Changes of settings that matter for what is compiled.
 CHANGES: tuple[dict[str, Any], ...] = (
     {"active": False},
@@ -506,6 +534,22 @@ def test_so_is_one_of_texts_points_and_pictures(steps: list[Step], config: Confi
 )
 def test_so_is_one_of_tracking_data(steps: list[Step], config: Config, heard: set[str] | None) -> None:
     assert played(steps, config, heard, fast_path=True) == played(steps, config, heard, fast_path=False)
+
+
+@given(
+    st.lists(ros_joints() | ros_joints() | ros_joints() | others(), max_size=25),
+    st.sampled_from(
+        [
+            Config(to_igtl=(ToIgtlRow(topic="/igtl/out/Array", type="NDARRAY"), ToIgtlRow())),
+            Config(to_igtl=(ToIgtlRow(topic="/*/*", type="NDARRAY", max_age_s=2.0, stamp="receive"),)),
+            Config(to_igtl=(ToIgtlRow(topic="/**", metadata=(("owner", "1111111111111111111"),)),)),
+        ]
+    ),
+)
+def test_so_is_one_of_joints(steps: list[Step], config: Config) -> None:
+    shown = join(encode(Message("STATUS", "Peer", Status(1), header_version=2)))  # it gets types of version 2
+    steps = [("igtl", shown, 1), *steps]
+    assert played(steps, config, None, fast_path=True) == played(steps, config, None, fast_path=False)
 
 
 POSE = Transform((0.36, 0.48, -0.8, -0.8, 0.6, 0.0, 0.48, 0.64, 0.6, 1.0, 2.0, 3.0))
@@ -671,6 +715,7 @@ def test_a_tool_out_of_sight_leaves_the_others_on_the_fast_path() -> None:
             rosmsg.Header(T0_NS, "map"), (TrackedTool("Tool", 2, (n, *TOOL_POSE)), TrackedTool("", 3, (n, *TOOL_POSE)))
         ),
         lambda n: PoseArray(rosmsg.Header(T0_NS, "map"), np.tile((n, *TOOL_POSE), (3, 1))),
+        lambda n: JointState(rosmsg.Header(T0_NS, "map"), ("q", "r"), ROWS[0, :2] * n, ROWS[1, :2]),
     ],
 )
 def test_and_of_a_topic(made: Any, version: int) -> None:

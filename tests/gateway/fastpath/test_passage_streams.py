@@ -33,7 +33,7 @@ from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.config.configuration import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.arms import ArmsRow
-from igtl_gateway.convert.common_msgs import PoseArray, PoseStamped
+from igtl_gateway.convert.common_msgs import JointState, PoseArray, PoseStamped
 from igtl_gateway.convert.igtl_msgs import TrackedTool, TrackingData
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.edges.ros.receiver import NativeReceiver
@@ -70,6 +70,7 @@ from tests.gateway.fastpath.test_cache import (
     igtl_messages,
     igtl_tools,
     ros_bulk,
+    ros_joints,
     ros_messages,
     ros_tools,
     tracked,
@@ -527,6 +528,29 @@ def test_tracking_data_passes_natively(
     check_recording(path, config, here.bridge.losses)
 
 
+def test_joints_pass_natively(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """But for the measured ones of an arm, whose names count."""
+    path, topics = tmp_path / "session.mcap", ("/joints", "/array", "/arm/measured_js")
+    rows = (ToIgtlRow(topic=topic, type="NDARRAY" if topic == "/array" else "SENSOR") for topic in topics)
+    config = Config(to_igtl=tuple(rows)).watched()
+    with scene(monkeypatch, config, path) as here:
+        here.connect().send(join(encode(Message("STATUS", "Robot", Status(1), header_version=2))))
+        wait_for(lambda: here.received("igtl_in") == 1)
+        for number in range(20):
+            header, names = Header(time.time_ns(), "base"), ("q1", "q2" if number != 9 else "other")
+            for topic in topics:
+                here.send_ros(JointState(header, names, np.array([number, math.nan]), np.ones(2)), topic)
+        wait_for(lambda: here.received("ros_in") == 60)
+        assert here.native == 2
+        with counted_by_python(here) as handled:
+            for topic in topics[:2]:
+                here.send_ros(JointState(header, names, np.array([1.0, -0.0]), np.ones(2)), topic)
+            wait_for(lambda: here.received("ros_in") == 62)
+        assert handled == []
+    kinds = check_recording(path, config, here.bridge.losses)
+    assert kinds[Kind.IGTL_OUT] >= 62
+
+
 def test_clouds_of_thousands_of_points_pass_natively(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     path, point, cloud = tmp_path / "session.mcap", "/igtl/out/point", "/igtl/out/cloud"
     config = Config(to_igtl=(ToIgtlRow(topic=point, type="POINT"),)).watched()
@@ -910,7 +934,9 @@ def _is_possible(step: Any) -> bool:
 
 
 steps = st.lists(
-    st.one_of(igtl_messages(), ros_messages(), igtl_bulk(), ros_bulk(), igtl_tools(), ros_tools()).filter(_is_possible),
+    st.one_of(igtl_messages(), ros_messages(), igtl_bulk(), ros_bulk(), igtl_tools(), ros_tools(), ros_joints()).filter(
+        _is_possible
+    ),
     min_size=10,
     max_size=40,
 )

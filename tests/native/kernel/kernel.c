@@ -485,6 +485,27 @@ static void foreign_ros(void)
     free(cdr), free(sample);
 }
 
+/* Rows of numbers within a message and its content, or nearly. */
+static void foreign_numbers(void)
+{
+    ssize_t size = 12 + (ssize_t)below(200), content = 1 + (ssize_t)below(100), rows = 1 + (ssize_t)below(5), made = 0;
+    ssize_t all = size + content + ROW_OF_NUMBERS * rows;
+    uint8_t *sample = bytes_of(all), *cdr = bytes_of(size);
+    for (ssize_t i = 0; i < rows; i++) {
+        uint8_t *row = sample + size + content + ROW_OF_NUMBERS * i;
+        uint32_t begin = below((uint32_t)size + 2), to = below(2) * below((uint32_t)content + 2);
+        put_u32_ros(row, begin);
+        put_u32_ros(row + 4, below(9) ? begin + (to ? 8 * below(4) : 0) : foreign_count(size));
+        put_u32_ros(row + 8, to);
+    }
+    struct ros_bulk stream = {.sample = sample, .size = all, .form = NUMBERS, .times = 1, .by = 1};
+    const ssize_t numbers[6] = {rows, size, content, 0, 0, 0};
+    memcpy(cdr, sample, (size_t)size);
+    if (set_places(&stream, numbers, 6))
+        free(to_igtl(&stream, cdr, size - (ssize_t)below(2), &made));
+    free(cdr), free(sample);
+}
+
 /* -- the recorder's queue -------------------------------------------------------------------------------------------------- */
 
 static void test_queue(void)
@@ -661,6 +682,7 @@ int main(int count, char **words)
         for (long i = 0; i < rounds; i++) {
             foreign_igtl();
             foreign_ros();
+            foreign_numbers();
             foreign_records();
         }
     }

@@ -186,7 +186,7 @@ static PyObject *passage_to_igtl_bulk(Passage *self, PyObject *args)
                           &form, &own, &times, &by, &number, &PyTuple_Type, &outputs))
         return NULL;
     Py_ssize_t count = PyTuple_GET_SIZE(places);
-    if (form < TEXT || (form > BLUE_FIRST && form != TOOLS) || form == POINT || count > MAX_PLACES || (form != TEXT && (count < 6 || count % 2))) {
+    if (form < TEXT || (form > BLUE_FIRST && form != TOOLS && form != NUMBERS) || form == POINT || count > MAX_PLACES || (form != TEXT && (count < 6 || count % 2))) {
         PyErr_SetString(PyExc_ValueError, "to_igtl_bulk: invalid form or places");
         return NULL;
     }
