@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile.bulk import block_of as block_of
     from igtl_gateway.record.sessionfile.bulk import check_time as check_time
     from igtl_gateway.record.sessionfile.bulk import gathered as gathered
+    from igtl_gateway.record.sessionfile.bulk import joined_blocks as joined_blocks
     from igtl_gateway.record.sessionfile.columns import EntryColumns as EntryColumns
     from igtl_gateway.record.sessionfile.columns import Stream as EntryStream
     from igtl_gateway.record.sessionfile.columns import Unfit as Unfit
@@ -90,7 +91,7 @@ HOMES: Homes = (
     # Sessions: entries as they are in the file
     ("record.sessionfile.reader", "SessionFile"),
     ("record.sessionfile", "layout"),
-    ("record.sessionfile.bulk", "MessageBlock block_of check_time gathered"),
+    ("record.sessionfile.bulk", "MessageBlock block_of check_time gathered joined_blocks"),
     ("record.sessionfile.columns", "EntryColumns EntryStream=Stream Unfit in_larger_blocks"),
     ("record.sessionfile.stream_rows", "StreamName StreamNumbers StreamRows"),
     ("record.sessionfile.ranges", "RangeFile named"),

@@ -37,10 +37,10 @@ class ExportedStream(ImportedStream):
         self.reasons[why] = self.reasons.get(why, 0) + count
         self.why = why if len(self.reasons) == 1 else "; ".join(f"{n:,}: {why}" for why, n in self.reasons.items())
 
-    def fail(self, why: str) -> None:
-        """Count a message that should be written but cannot be."""
-        self.failed += 1
-        self.leave_out(why)
+    def fail(self, why: str, count: int = 1) -> None:
+        """Count messages that should be written but cannot be."""
+        self.failed += count
+        self.leave_out(why, count)
 
 
 @dataclass(slots=True)

@@ -11,14 +11,23 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import BinaryIO, Protocol
 
+import numpy as np
 import pyarrow as pa
 
-from igtl_gateway.addon.reading import Entry, Kind, block_of, recorded_acceptance, recorded_units
+from igtl_gateway.addon.reading import (
+    Kind,
+    MessageBlock,
+    block_of,
+    joined_blocks,
+    recorded_acceptance,
+    recorded_units,
+)
 from igtl_gateway.addon.streams import TableMaker, fitted, unified
 from igtl_gateway.addon.untrusted import MessageDecoder
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
+from igtl_gateway.addons.exchange.chosen_rows import ChosenRows, StreamMessages
 from igtl_gateway.addons.exchange.folder import FileNames, Folder, new_folder
-from igtl_gateway.addons.exchange.selection import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
+from igtl_gateway.addons.exchange.selection import REPEATED, Recording
 
 #: Files that are open at the same time; a usual session has a few dozen streams.
 _MAX_FILES = 500
@@ -76,62 +85,133 @@ def export_arrow(recording: Recording, out: Path, globs: Sequence[str]) -> Expor
 
 
 def _export(recording: Recording, out: Path, globs: Sequence[str], form: _Parquet | _Ipc) -> ExportAccount:
-    account, names = ExportAccount(), FileNames(recording.channels)
-    decoder = MessageDecoder(lambda ros_type: recording.definitions.get(ros_type, ""))
-    streams: dict[tuple[Kind, str, str, str], _Stream] = {}
-    units, accepted, waiting = recorded_units(recording), recorded_acceptance(recording), 0
+    account = ExportAccount()
     with new_folder(out, account) as folder, ExitStack() as stack:
-        for entry in chosen_entries(recording, (*IGTL_KINDS, *ROS_KINDS), globs, account):
-            row = account.row(entry)
-            unit = units.of(entry.kind, entry.channel, entry.type, entry.links)
-            key = (entry.kind, entry.channel, entry.type, unit)
-            stream = streams.get(key)
-            if stream is None:
-                if len(streams) >= _MAX_FILES:
-                    row.fail(f"more than {_MAX_FILES} streams")
-                    continue
-                maker = TableMaker(
-                    entry.kind, entry.type, entry.channel, recording.definitions, decoder, unit, accepted
-                )
-                # a column has one unit: what some peers get in another one is a file of its own
-                other = any(known[:3] == key[:3] for known in streams)
-                file = _File(folder, f"{names.of(entry)}{f'.{unit}' * other}.{form.suffix}", form)
-                stack.callback(file.close)
-                stream = streams[key] = _Stream(row, maker, file)
-            stream.entries.append(entry)
-            waiting += entry.size
-            if waiting >= _BYTES:
-                for each in streams.values():
-                    each.flush()
-                waiting = 0
-            elif len(stream.entries) >= _ROWS:
-                waiting -= sum(each.size for each in stream.entries)
-                stream.flush()
-        for each in streams.values():
-            each.flush()
-    account.files = sum(stream.file.is_open for stream in streams.values())
-    account.notes += names.notes(f".{form.suffix}")
+        export = _Export(recording, account, folder, stack, form)
+        for streams in ChosenRows(recording, globs, account):
+            export.take(streams)
+        export.finish()
     return account
 
 
+class _Export:
+    """The files that are being written."""
+
+    def __init__(
+        self, recording: Recording, account: ExportAccount, folder: Folder, stack: ExitStack, form: _Parquet | _Ipc
+    ) -> None:
+        self._recording, self._account, self._folder, self._stack = recording, account, folder, stack
+        self._form, self._names = form, FileNames(recording.channels)
+        self._decoder = MessageDecoder(lambda ros_type: recording.definitions.get(ros_type, ""))
+        self._units, self._accepted = recorded_units(recording), recorded_acceptance(recording)
+        self._streams: dict[tuple[Kind, str, str, str], _Stream] = {}
+        self._waiting = 0
+
+    def take(self, streams: Sequence[StreamMessages]) -> None:
+        """Take the next messages of some streams."""
+        size = sum(int((each.rows.ends - each.rows.begins).sum()) for each in streams)
+        if self._waiting + size < _BYTES:
+            for stream in streams:
+                for part in self._of_one_unit(stream):
+                    self._add(part)
+            return
+        places = [(int(at), stream, row) for stream in streams for row, at in enumerate(stream.order)]
+        for _, stream, row in sorted(places, key=lambda place: place[0]):
+            self._add(stream.where(slice(row, row + 1)))
+            if self._waiting >= _BYTES:
+                for each in self._streams.values():
+                    each.flush()
+                self._waiting = 0
+
+    def finish(self) -> None:
+        """Write what waits, and complete the account."""
+        for each in self._streams.values():
+            each.flush()
+        self._account.files = sum(stream.file.is_open for stream in self._streams.values())
+        self._account.notes += self._names.notes(f".{self._form.suffix}")
+
+    def _of_one_unit(self, stream: StreamMessages) -> list[StreamMessages]:
+        """Some messages by the unit of their lengths, in the order of their first ones: links may have several."""
+        of_heads = {number: self._unit(stream, number) for number in dict.fromkeys(stream.rows.heads.tolist())}
+        units = list(dict.fromkeys(of_heads.values()))
+        if len(units) == 1:
+            return [stream]
+        which = np.array([units.index(of_heads[number]) for number in stream.rows.heads.tolist()])
+        return [stream.where(np.flatnonzero(which == unit)) for unit in range(len(units))]
+
+    def _unit(self, stream: StreamMessages, head: int) -> str:
+        return self._units.of(stream.kind, stream.channel, stream.type, stream.heads.known[head].links)
+
+    def _add(self, some: StreamMessages) -> None:
+        """Add messages of one stream and unit, and write those that are enough for a table."""
+        row = self._account.stream(some.kind, some.channel, some.type, len(some))
+        if count := int(some.repeated.sum()):
+            row.leave_out(REPEATED, count)
+            some = some.where(np.flatnonzero(~some.repeated))
+        if not len(some):
+            return
+        stream = self._stream(some, row)
+        if stream is None:
+            row.fail(f"more than {_MAX_FILES} streams", len(some))
+            return
+        while len(some):
+            part, some = some.where(slice(0, _ROWS - stream.count)), some.where(slice(_ROWS - stream.count, None))
+            self._waiting += stream.add(part)
+            if self._waiting < _BYTES and stream.count >= _ROWS:
+                self._waiting -= stream.flush()
+
+    def _stream(self, some: StreamMessages, row: ExportedStream) -> _Stream | None:
+        """The stream of messages with one unit; None where there are too many."""
+        unit, streams, recording = self._unit(some, int(some.rows.heads[0])), self._streams, self._recording
+        key = (some.kind, some.channel, some.type, unit)
+        if key not in streams and len(streams) < _MAX_FILES:
+            maker = TableMaker(
+                some.kind, some.type, some.channel, recording.definitions, self._decoder, unit, self._accepted
+            )
+            # a column has one unit: what some peers get in another one is a file of its own
+            other = any(known[:3] == key[:3] for known in streams)
+            name = f"{self._names.of_stream(*key[:3])}{f'.{unit}' * other}.{self._form.suffix}"
+            file = _File(self._folder, name, self._form)
+            self._stack.callback(file.close)
+            streams[key] = _Stream(row, maker, file)
+        return streams.get(key)
+
+
 class _Stream:
-    """A stream with messages that wait to be written."""
+    """A stream with messages that wait to be written.
+
+    Attributes:
+        count: number of these.
+    """
 
     def __init__(self, row: ExportedStream, maker: TableMaker, file: _File) -> None:
         self.row, self.maker, self.file = row, maker, file
-        self.entries: list[Entry] = []
+        self.count = 0
+        self._size = 0
+        self._blocks: list[MessageBlock] = []
 
-    def flush(self) -> None:
-        """Write the waiting messages, and count them."""
-        if not self.entries:
-            return
-        table, reasons = self.maker.table(block_of(self.entries))
+    def add(self, some: StreamMessages) -> int:
+        """Add messages; return the bytes of their payloads.  Raises UnsupportedRecording for times after 2262."""
+        block = some.block()
+        block = block_of([some.entry(row) for row in range(len(some))]) if block is None else block.compact()
+        self._blocks.append(block)
+        self.count += len(block)
+        self._size += len(block.data)
+        return len(block.data)
+
+    def flush(self) -> int:
+        """Write the waiting messages, and count them; return the bytes of their payloads."""
+        if not self._blocks:
+            return 0
+        size, block = self._size, joined_blocks(self._blocks)
+        self._blocks, self._size, self.count = [], 0, 0
+        table, reasons = self.maker.table(block)
         for why in reasons:
             self.row.fail(why)
         if table.num_rows:
             self.file.write(table)
         self.row.taken += table.num_rows
-        self.entries = []
+        return size
 
 
 class _File:

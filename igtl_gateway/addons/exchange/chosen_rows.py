@@ -61,6 +61,11 @@ class StreamMessages:
     def __len__(self) -> int:
         return len(self.rows)
 
+    def where(self, rows: Array | slice) -> StreamMessages:
+        """Those of a mask, of indices or of a slice."""
+        arrays = self.rows.where(rows), self.repeated[rows], self.order[rows], self.links[rows]
+        return StreamMessages(self.kind, self.channel, self.type, *arrays, self.heads)
+
     @property
     def all_links(self) -> list[tuple[int, ...]]:
         """The links of the messages, each once."""

@@ -10,8 +10,8 @@ A file without usable index, or whose chunks overlap in time, is read entry by e
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import IO, Any
 
@@ -87,6 +87,21 @@ class MessageBlock:
         begins, ends, numbers, times, sources = (array[rows] for array in arrays)
         links = None if self.links is None else self.links[rows]
         return MessageBlock(self.data, begins, ends, numbers, times, sources, links)
+
+    def compact(self) -> MessageBlock:
+        """The same with a copy of the payloads alone, one after the other."""
+        sizes = self.ends - self.begins
+        size = int(sizes[0]) if len(sizes) else 0
+        if size <= _SMALL_BYTES and (sizes == size).all():
+            data = gathered(self.data, self.begins, size).reshape(-1)
+        else:
+            data = np.frombuffer(b"".join([self.payload(row) for row in range(len(self))]), np.uint8)
+        ends = np.cumsum(sizes)
+        return replace(self, data=data, begins=ends - sizes, ends=ends)
+
+
+#: Messages up to this size are copied at once.
+_SMALL_BYTES = 1 << 12
 
 
 class Unusable(Exception):
@@ -311,6 +326,23 @@ def blocks_of_entries(entries: Iterable[Entry]) -> Iterator[MessageBlock]:
             batch, size = [], 0
     if batch:
         yield block_of(batch)
+
+
+def joined_blocks(blocks: Sequence[MessageBlock]) -> MessageBlock:
+    """The messages of some blocks of a stream as one block."""
+    if len(blocks) == 1:
+        return blocks[0]
+    offsets = np.cumsum([0, *(len(block.data) for block in blocks[:-1])]).tolist()
+    begins, ends = (
+        np.concatenate([getattr(block, name) + offset for block, offset in zip(blocks, offsets, strict=True)])
+        for name in ("begins", "ends")
+    )
+    data, numbers, times, sources = (
+        np.concatenate([getattr(block, name) for block in blocks])
+        for name in ("data", "numbers", "times", "source_times")
+    )
+    links = [block.links for block in blocks if block.links is not None]
+    return MessageBlock(data, begins, ends, numbers, times, sources, np.concatenate(links) if links else None)
 
 
 def block_of(entries: Collection[Entry]) -> MessageBlock:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import random
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pandas
@@ -16,12 +18,19 @@ import igtl_gateway
 from igtl_gateway.addons.exchange import arrow_out
 from igtl_gateway.addons.exchange.targets import export_to
 from igtl_gateway.api.arrow_tables import fitted, unified
+from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
+from igtl_gateway.replay.state_before import with_state
 from igtl_gateway.wire.message import Item, Message, encode
 from igtl_gateway.wire.transform import Transform
+from tests.addons.exchange import plain_arrow
+from tests.addons.exchange.test_chosen_rows import definition_of, session
 from tests.places import FIXTURES
+from tests.tables import table
+
+ONE = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
 def cells(name: str, value: Any) -> Iterator[tuple[str, Any]]:
@@ -172,3 +181,60 @@ def test_columns_of_different_types_become_text() -> None:
     wider = unified(one.schema, two.schema)
     assert fitted(one, wider).to_pydict() == {"a": ["1", "2"], "b": [1.5, 2.5], "c": [None, None]}
     assert fitted(two, wider).to_pydict() == {"a": ["x"], "b": [None], "c": [[{"d": 1}]]}
+
+
+def _exported(write: Any, path: Path, out: Path, globs: tuple[str, ...], form: Any) -> tuple[object, ...]:
+    account, why = None, ""
+    try:
+        with SessionFile.open(path) as file:
+            account = write(with_state(file), out, globs, form)
+    except GatewayError as error:
+        why = f"{type(error).__name__}: {error}"
+    files = {each.name: each.read_bytes() for each in out.iterdir()} if out.exists() else {}
+    facts = (
+        (account.rows, account.files, account.notes, account.others, list(account.senders.notes())) if account else ()
+    )
+    return why, files, facts
+
+
+def _is_the_same(path: Path, folder: Path, globs: tuple[str, ...] = (), form: Any = None) -> None:
+    folder.mkdir()
+    form = form or arrow_out._Ipc()
+    plain = _exported(plain_arrow.export, path, folder / "plain", globs, form)
+    assert _exported(arrow_out._export, path, folder / "found", globs, form) == plain
+
+
+@table("path", [path for path in sorted(FIXTURES.glob("*.mcap")) if path.stem not in ("brain", "lego")])
+def test_a_fixture_is_written_as_message_by_message(tmp_path: Path, path: Path) -> None:
+    _is_the_same(path, tmp_path / path.stem)
+
+
+@table("seed", range(20))
+def test_so_is_a_random_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    """Also in small tables, and with more streams than there may be files."""
+    rng = random.Random(seed)
+    monkeypatch.setattr(arrow_out, "_ROWS", rng.choice((7, 50, 20_000)))
+    monkeypatch.setattr(arrow_out, "_BYTES", rng.choice((5_000, 64 << 20)))
+    monkeypatch.setattr(arrow_out, "_MAX_FILES", rng.choice((4, 500, 500)))
+    path, chunk = tmp_path / "a.mcap", rng.choice((3_000, 20_000, 1 << 20))
+    writer = SessionWriter(path, {}, definition_of=definition_of, chunk_bytes=chunk, overwrite=True)
+    for entry in session(rng, rng.choice((5, 100, 300))):
+        writer.write(entry)
+    writer.close({})
+    globs = rng.choice(((), (), ("TRANSFORM/*",), ("in:TRANSFORM/A@1", "/any"), ("/pose",)))
+    _is_the_same(path, tmp_path / str(seed), globs, rng.choice((arrow_out._Ipc(), arrow_out._Parquet())))
+    monkeypatch.undo()
+
+
+def test_peers_with_other_units_have_files_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (arrow_out, plain_arrow):
+        units = SimpleNamespace(of=lambda _kind, _channel, _type, links: "m" if 2 in links else "mm")
+        monkeypatch.setattr(module, "recorded_units", lambda _, units=units: units)
+    writer = SessionWriter(tmp_path / "a.mcap", {})
+    for number in range(1, 40):
+        data = b"".join(encode(Message("TRANSFORM", "A", Transform((*ONE, number, 0.0, 0.0)))))
+        link = 1 + number % 3 % 2
+        writer.write(Entry(number, number, Kind.IGTL_IN, "TRANSFORM/A", "TRANSFORM", (data,), (link,)))
+    writer.close({})
+    _is_the_same(tmp_path / "a.mcap", tmp_path / "out")
+    assert len(list((tmp_path / "out" / "found").iterdir())) == 2
