@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile.index import read_index as read_index
     from igtl_gateway.record.sessionfile.index import read_record as read_record
     from igtl_gateway.record.sessionfile.index import recover_hint as recover_hint
+    from igtl_gateway.record.sessionfile.only import only_of_kinds as only_of_kinds
     from igtl_gateway.record.sessionfile.order import message_rows as message_rows
     from igtl_gateway.record.sessionfile.ranges import RangeFile as RangeFile
     from igtl_gateway.record.sessionfile.ranges import named as named
@@ -90,6 +91,7 @@ HOMES: Homes = (
     ("api.verbs", "AnyRecording"),
     # Sessions: entries as they are in the file
     ("record.sessionfile.reader", "SessionFile"),
+    ("record.sessionfile.only", "only_of_kinds"),
     ("record.sessionfile", "layout"),
     ("record.sessionfile.bulk", "MessageBlock block_of check_time gathered joined_blocks"),
     ("record.sessionfile.columns", "EntryColumns EntryStream=Stream Unfit in_larger_blocks"),

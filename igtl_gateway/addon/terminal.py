@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from igtl_gateway.cli.options import new_recording as new_recording
     from igtl_gateway.cli.options import output_file as output_file
     from igtl_gateway.cli.options import parser_of as parser_of
+    from igtl_gateway.cli.terminal import PROGRESS as PROGRESS
+    from igtl_gateway.cli.terminal import PROGRESS_VARIABLE as PROGRESS_VARIABLE
     from igtl_gateway.cli.terminal import aligned as aligned
     from igtl_gateway.cli.terminal import cell as cell
     from igtl_gateway.cli.terminal import clear_live_line as clear_live_line
@@ -52,7 +54,10 @@ HOMES: Homes = (
         "file_name new_recording output_file parser_of",
     ),
     # Its output and its progress
-    ("cli.terminal", "aligned cell clear_live_line is_terminal live_line print_json print_line width"),
+    (
+        "cli.terminal",
+        "PROGRESS PROGRESS_VARIABLE aligned cell clear_live_line is_terminal live_line print_json print_line width",
+    ),
     ("cli.common", "count_text size_text stop_event utc_text"),
     ("cli.merge_output", "print_merge"),
     # What the user may run next

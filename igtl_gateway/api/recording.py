@@ -34,6 +34,7 @@ from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.added_marks import marks_files
 from igtl_gateway.record.sessionfile.new_file import make_folder, write_bytes
+from igtl_gateway.record.sessionfile.only import only_of_kinds
 from igtl_gateway.record.sessionfile.ranges import named
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.remote import RemoteFile, is_url
@@ -210,8 +211,8 @@ class Recording(Mapping[str, Stream]):
         """The notes of the session, in order: problems, drops, links."""
         first, last = self._window
         found = []
-        for entry in self._source.limited(lambda: self._source.file.entries_of_kinds(_NOTES)):
-            if entry.seq and entry.kind in _NOTES and first <= entry.stamp_ns < last:
+        for entry in self._source.limited(lambda: only_of_kinds(self._source.file, _NOTES)):
+            if first <= entry.stamp_ns < last:
                 note = Note.of(entry.data())
                 found.append(
                     RecordedNote(

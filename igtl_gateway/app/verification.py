@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import mmap
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -14,7 +15,8 @@ from igtl_gateway.base.systems.forks import can_fork, free_memory, in_processes
 from igtl_gateway.base.untrusted import cpu_time
 from igtl_gateway.base.version import __version__
 from igtl_gateway.config.configuration import Config
-from igtl_gateway.record.sessionfile.columns import Unfit
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.record.sessionfile.columns import EntryColumns, Unfit
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import LeafDecoder
 from igtl_gateway.replay.recheck import can_recheck, message_counts, recheck
@@ -26,6 +28,11 @@ from igtl_gateway.replay.verify import DeclaredLosses, Difference, VerifyReport,
 _ENTRIES_EACH, _MOST_EACH = 500_000, 4
 #: What a process may need, bytes.
 _MEMORY_OF_WORKER = 256 << 20
+
+#: Entries between two calls of a function that takes the progress.
+_STEP = 4_096
+#: Takes the entries that are verified so far, and how many there are.
+OnProgress = Callable[[int, int], None]
 
 #: Key of the version that recorded the session.
 _VERSION = "igtl_gateway_version"
@@ -92,15 +99,22 @@ class Verification:
         return {"file": values.pop("file"), "good": self.good, **values}
 
 
-def verify_parts(path: Path, config_path: Path | None = None, *, reference: bool = False) -> list[Verification]:
+def verify_parts(
+    path: Path, config_path: Path | None = None, *, reference: bool = False, on_progress: OnProgress | None = None
+) -> list[Verification]:
     """Verify each part of a merged session; of another recording return nothing.  Raises as ``verify_recording``."""
     with SessionFile.open(path) as file:
         names = file.merge.names if file.merge else []
-    return [verify_recording(path / name, config_path, reference=reference) for name in names]
+    return [verify_recording(path / name, config_path, reference=reference, on_progress=on_progress) for name in names]
 
 
 def verify_recording(
-    path: Path, config_path: Path | None = None, *, reference: bool = False, workers: int = 1
+    path: Path,
+    config_path: Path | None = None,
+    *,
+    reference: bool = False,
+    workers: int = 1,
+    on_progress: OnProgress | None = None,
 ) -> Verification:
     """Verify a recording.
 
@@ -109,23 +123,30 @@ def verify_recording(
         config_path: configuration file to use instead of the recorded configuration.
         reference: compute all outputs by the full path.
         workers: processes that verify segments of a long recording; fewer without memory for them.
+        on_progress: takes the progress; it begins again where something differs and all is compared in full.
 
     Raises UnsupportedRecording for other files and for imports, DamagedRecording, ConfigError.
     """
     with SessionFile.open(path) as file:
-        return verify_session(file, config_path, reference=reference, workers=workers)
+        return verify_session(file, config_path, reference=reference, workers=workers, on_progress=on_progress)
 
 
 def verify_session(
-    file: SessionFile, config_path: Path | None = None, *, reference: bool = False, workers: int = 1
+    file: SessionFile,
+    config_path: Path | None = None,
+    *,
+    reference: bool = False,
+    workers: int = 1,
+    on_progress: OnProgress | None = None,
 ) -> Verification:
     """Verify an open recording; see `verify_recording`."""
     chosen = _Chosen.of(file, config_path)
-    report = _in_segments(file, chosen, reference, workers) if workers > 1 else None
+    report = _in_segments(file, chosen, reference, workers, on_progress) if workers > 1 else None
     if report is None and not reference:
-        report = _recheck(file, chosen)
+        report = _recheck(file, chosen, on_progress)
     if report is None or not report.good:
-        report = verify(file.entries(), chosen.config, chosen.losses, before=file.prologue(), decoder=chosen.decoder)
+        entries = _counted(file.entries(), file.entry_count, on_progress)
+        report = verify(entries, chosen.config, chosen.losses, before=file.prologue(), decoder=chosen.decoder)
     counts = {each.name: getattr(report, each.name) for each in fields(VerifyReport)}
     counts["differences"] = tuple(report.differences)
     config_name = str(config_path) if config_path else RECORDED
@@ -175,11 +196,20 @@ class _Chosen:
         decoder = LeafDecoder(file.definitions, units_of(config, file))
         return cls(config, DeclaredLosses.of(file.session, file.ledger), decoder)
 
-    def verified(self, file: SessionFile, segment: Segment, *, reference: bool) -> SegmentResult | None:
+    def verified(
+        self,
+        file: SessionFile,
+        segment: Segment,
+        *,
+        reference: bool,
+        on_entries: Callable[[int], None] = lambda _: None,
+    ) -> SegmentResult | None:
         """The result of a segment; None where only the whole can be verified."""
         compiles = not reference and can_recheck(self.config)
         try:
-            return verify_segment(file, segment, self.config, self.losses, self.decoder, compiles=compiles)
+            return verify_segment(
+                file, segment, self.config, self.losses, self.decoder, compiles=compiles, on_entries=on_entries
+            )
         except Unfit:
             return None
 
@@ -197,7 +227,9 @@ def _check(file: SessionFile) -> None:
         )
 
 
-def _in_segments(file: SessionFile, chosen: _Chosen, reference: bool, workers: int) -> VerifyReport | None:
+def _in_segments(
+    file: SessionFile, chosen: _Chosen, reference: bool, workers: int, on_progress: OnProgress | None
+) -> VerifyReport | None:
     """The result of segments in processes; None: the recording has to be verified as a whole."""
     memory = free_memory()
     workers = workers if memory is None else min(workers, memory // _MEMORY_OF_WORKER)
@@ -205,18 +237,34 @@ def _in_segments(file: SessionFile, chosen: _Chosen, reference: bool, workers: i
         return None
     count = workers * max(1, min(_MOST_EACH, file.entry_count // (workers * _ENTRIES_EACH)))
 
-    def verified(segment: Segment) -> SegmentResult | None:
+    def verified(segment: Segment, on_entries: Callable[[int], None]) -> SegmentResult | None:
         with suppress(GatewayError, OSError, MemoryError), cpu_time.bounded():
             with SessionFile.open(file.path) as opened:  # with a place in the file of its own
-                return chosen.verified(opened, segment, reference=reference)
+                return chosen.verified(opened, segment, reference=reference, on_entries=on_entries)
         return None
 
+    most = 0
+
     def run(segments: Sequence[Segment]) -> list[SegmentResult | None]:
+        done = memoryview(mmap.mmap(-1, 8 * len(segments))).cast("q")  # shared with the processes
+
         def work(number: int) -> bytes:
-            found = verified(segments[number])
+            done[number] = 0
+
+            def count(entries: int) -> None:
+                done[number] += entries
+
+            found = verified(segments[number], count)
             return json.dumps(found and found.to_dict()).encode()
 
-        replies = [json.loads(reply or b"null") for reply in in_processes(work, len(segments), workers)]
+        def tick() -> None:
+            nonlocal most
+            most = max(most, sum(done))  # segments that are verified as one begin again
+            if on_progress:
+                on_progress(min(most, file.entry_count), file.entry_count)
+
+        shared = in_processes(work, len(segments), workers, tick if on_progress else None)
+        replies = [json.loads(reply or b"null") for reply in shared]
         return [reply and SegmentResult(**reply) for reply in replies]
 
     try:
@@ -226,12 +274,12 @@ def _in_segments(file: SessionFile, chosen: _Chosen, reference: bool, workers: i
     return verify_in_segments(segments, run, file.entry_count) if segments else None
 
 
-def _recheck(file: SessionFile, chosen: _Chosen) -> VerifyReport | None:
+def _recheck(file: SessionFile, chosen: _Chosen, on_progress: OnProgress | None) -> VerifyReport | None:
     """The result with compiled conversions, whose differences are not all certain; None: they cannot be used."""
     if not can_recheck(chosen.config):
         return None
     try:
-        columns = file.columns()
+        columns = _counted_columns(file.columns(), file.entry_count, on_progress)
     except Unfit:
         return None
     config, losses, decoder = chosen.config, chosen.losses, chosen.decoder
@@ -247,3 +295,23 @@ def _config(path: Path, config_path: Path | None, file: SessionFile, recorded_by
             f"{path}: {error}; recorded by igtl-gateway {recorded_by or 'of an unknown version'}, "
             f"this is {__version__}: give a configuration with --config"
         ) from None
+
+
+def _counted(entries: Iterable[Entry], of: int, on_progress: OnProgress | None) -> Iterator[Entry]:
+    """Yield entries, and report how many of all have been."""
+    if on_progress is None:
+        yield from entries
+        return
+    for number, entry in enumerate(entries):
+        if number % _STEP == 0:
+            on_progress(number, of)
+        yield entry
+
+
+def _counted_columns(blocks: Iterable[EntryColumns], of: int, on_progress: OnProgress | None) -> Iterator[EntryColumns]:
+    done = 0
+    for columns in blocks:
+        if on_progress:
+            on_progress(done, of)
+        yield columns
+        done += len(columns)

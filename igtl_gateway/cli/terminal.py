@@ -14,8 +14,10 @@ import sys
 from collections.abc import Iterable, Sequence, Set
 from typing import Any, TextIO
 
+from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import OutputError
 from igtl_gateway.base.near import did_you_mean, near_names
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.systems.service import INFO, WARNING, is_journal
 from igtl_gateway.base.untrusted.text import json_line, printable
 
@@ -24,6 +26,10 @@ LONGEST_LINE = 4000
 #: Columns of a table that one text may take; the rest of its row moves to the right.
 _WIDEST_COLUMN = 72
 _CLEAR = "\r\x1b[K"
+#: Environment variable of a program that reads the progress: a line each on stderr, which begins with the word.
+PROGRESS_VARIABLE, PROGRESS = "IGTL_GATEWAY_PROGRESS", "progress "
+#: Time between two reports of the progress, ns.
+_PROGRESS_NS = NS_PER_S // 2
 
 
 class _LiveLine:
@@ -96,6 +102,41 @@ def clear_live_line(error: bool = False) -> None:
     """Take the :func:`live_line` line away."""
     if not _is_dumb():
         _write(_CLEAR, error)
+
+
+class LiveProgress:
+    """The progress of a verb on stderr: a live line of a terminal, or a line each for the program that started it."""
+
+    def __init__(self) -> None:
+        self._clock = SystemClock()
+        self._is_read = bool(os.environ.get(PROGRESS_VARIABLE))
+        self._is_shown = not self._is_read and is_terminal(error=True)
+        self._next_ns = self._clock.monotonic_ns() + _PROGRESS_NS
+        self._has_line = False
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether anything takes it."""
+        return self._is_read or self._is_shown
+
+    def __call__(self, done: int, of: int) -> None:
+        """Take how much is done, and of how much; it is shown twice a second at most."""
+        now_ns = self._clock.monotonic_ns()
+        if now_ns < self._next_ns or not of:
+            return
+        self._next_ns = now_ns + _PROGRESS_NS
+        share = f"{100 * done / of:.0f} %"
+        if self._is_read:
+            print_line(f"{PROGRESS}{share}", error=True, flush=True)
+        elif self._is_shown:
+            self._has_line = True
+            live_line(f"{share:>5} of {of:,} entries", error=True)
+
+    def end(self) -> None:
+        """Take the live line away."""
+        if self._has_line:
+            clear_live_line(error=True)
+            self._has_line = False
 
 
 def is_terminal(error: bool = False) -> bool:

@@ -10,7 +10,7 @@ from igtl_gateway.app.verification import RECORDED, Verification, verify_parts, 
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.systems.processes import usable_cpus
 from igtl_gateway.cli.common import count_text, print_damaged_indexes, utc_text
-from igtl_gateway.cli.terminal import print_json, print_line
+from igtl_gateway.cli.terminal import LiveProgress, print_json, print_line
 from igtl_gateway.record.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, UNTRUSTED, SealReport
 from igtl_gateway.record.sessionfile.side_file import SIDE_FILE
 
@@ -31,9 +31,21 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError("--tsa: found no --seal, expected it with certificates of time-stamp authorities")
     if options.seal:
         return _run_seal(options)
-    if parts := verify_parts(options.file, options.config, reference=options.reference):
-        return _run_parts(parts, options)
-    result = verify_recording(options.file, options.config, reference=options.reference, workers=usable_cpus())
+    progress = LiveProgress()
+    on_progress = progress if progress.is_wanted else None
+    try:
+        if parts := verify_parts(options.file, options.config, reference=options.reference, on_progress=on_progress):
+            progress.end()
+            return _run_parts(parts, options)
+        result = verify_recording(
+            options.file,
+            options.config,
+            reference=options.reference,
+            workers=usable_cpus(),
+            on_progress=on_progress,
+        )
+    finally:
+        progress.end()
     if options.json:
         print_json(result.to_dict())
     else:

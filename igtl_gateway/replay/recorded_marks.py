@@ -21,6 +21,7 @@ from igtl_gateway.record.sessionfile.added_marks import added_marks, write_marks
 from igtl_gateway.record.sessionfile.layout import PROLOGUE_ATTACHMENT, LayoutError
 from igtl_gateway.record.sessionfile.merged import ATTACHMENT_OF, PART_NAME_KEY, is_noted
 from igtl_gateway.record.sessionfile.messages import unpack_note
+from igtl_gateway.record.sessionfile.only import only_of_kinds
 from igtl_gateway.record.sessionfile.reader import SessionFile, prologue_of
 from igtl_gateway.replay.moment import moment
 
@@ -49,7 +50,7 @@ def marks_of(file: SessionFile, notes: Iterable[Noted] | None = None, *, added: 
 def _logged(file: SessionFile, notes: Iterable[Noted] | None) -> tuple[Mark, ...]:
     if file.foreign:
         return ()
-    noted = _noted(file.entries_of_kinds({Kind.EDGE_NOTE})) if notes is None else notes
+    noted = _noted(only_of_kinds(file, {Kind.EDGE_NOTE})) if notes is None else notes
     return joined(chain(_noted(file.prologue()), noted), file.start_ns, file.end_ns)
 
 

@@ -279,8 +279,11 @@ def verify_segment(
     decoder: LeafDecoder | None = None,
     *,
     compiles: bool,
+    on_entries: Callable[[int], None] = lambda _: None,
 ) -> SegmentResult:
     """Verify a segment; ``compiles``: by compiled conversions as far as possible, see `recheck`.
+
+    ``on_entries`` is called with each number of entries that are done.
 
     Raises as `SessionFile.columns`.
     """
@@ -304,6 +307,7 @@ def verify_segment(
             else:
                 for entry in columns.entries():
                     verifier.take(entry)
+            on_entries(len(columns))
         report = verifier.end()
         counts = {name: getattr(report, name) for name in _COUNTS}
         return SegmentResult(report.good, counts, first, last, before, _digest(verifier, checker))

@@ -8,6 +8,7 @@ from itertools import chain
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.gateway.naming import NAME_SHARED
+from igtl_gateway.record.sessionfile.only import only_of_kinds
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.state_before import notes_before
 
@@ -17,8 +18,8 @@ def shared_names(file: SessionFile) -> Iterator[Note]:
 
     A merged session states them itself.
     """
-    for entry in chain(notes_before(file), file.entries_of_kinds({Kind.NOTE})):
-        if entry.kind is Kind.NOTE and NAME_SHARED.encode() in bytes(entry.data()):
+    for entry in chain(notes_before(file), only_of_kinds(file, {Kind.NOTE})):
+        if NAME_SHARED.encode() in bytes(entry.data()):
             note = Note.of(entry.data())
             if note.code == NAME_SHARED:
                 yield note

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 
 from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP, ClockStep
 from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.record.sessionfile.only import only_of_kinds
 from igtl_gateway.record.sessionfile.reader import SessionFile
 
 
@@ -51,4 +52,4 @@ def clock_steps_of(file: SessionFile) -> list[ClockStep]:
     streams = (file.ledger or {}).get("streams")
     if file.foreign or (streams is not None and CLOCK_STEP not in streams.get("edges", {}).get("", {})):
         return []
-    return [step for entry in file.entries_of_kinds({Kind.EDGE_NOTE}) if entry.seq and (step := ClockStep.of(entry))]
+    return [step for entry in only_of_kinds(file, {Kind.EDGE_NOTE}) if (step := ClockStep.of(entry))]

@@ -15,6 +15,8 @@ from igtl_gateway.base.errors import OutputError
 from igtl_gateway.cli import main
 from igtl_gateway.cli.terminal import (
     LONGEST_LINE,
+    PROGRESS,
+    PROGRESS_VARIABLE,
     Parser,
     aligned,
     cell,
@@ -25,6 +27,7 @@ from igtl_gateway.cli.terminal import (
     print_text,
     width,
 )
+from tests.places import FIXTURES
 
 NAUGHTY = "/a\x1b]0;owned\x07\n\x1b[2Jverified: all 9 outputs equal\r\u202e"
 
@@ -217,3 +220,19 @@ def test_a_table_has_text_on_the_left_and_numbers_on_the_right() -> None:
     assert title.startswith("  stream ") and title.endswith("    A")
     assert row.startswith("  STRING/a") and "\n" not in row and row.endswith("  1,200")
     assert len(title) == len(row) and last == "  /tf"
+
+
+def test_a_verification_reports_its_progress_to_who_reads_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("igtl_gateway.cli.terminal._PROGRESS_NS", 0)
+    monkeypatch.setattr("igtl_gateway.base.systems.forks._TICK_S", 0.001)
+    for how in ([], ["--reference"], ["--json"]):
+        assert main(["verify", str(FIXTURES / "star.mcap"), *how]) == 0
+        assert capsys.readouterr().err == ""
+        with monkeypatch.context() as patch:
+            patch.setenv(PROGRESS_VARIABLE, "1")
+            assert main(["verify", str(FIXTURES / "star.mcap"), *how]) == 0
+        lines = capsys.readouterr().err.splitlines()
+        shares = [int(line.removeprefix(PROGRESS).removesuffix(" %")) for line in lines]
+        assert shares == sorted(shares) and 0 <= shares[0] <= shares[-1] <= 100, how

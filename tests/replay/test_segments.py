@@ -362,7 +362,7 @@ def test_without_memory_for_two_processes_there_is_one(tmp_path: Path, monkeypat
     monkeypatch.setattr(verification, "_ENTRIES_EACH", 20)
     begun: list[Any] = []
 
-    def in_turn(work: Callable[[int], bytes], parts: int, most: int) -> list[bytes | None]:
+    def in_turn(work: Callable[[int], bytes], parts: int, most: int, _tick: object) -> list[bytes | None]:
         begun.append(most)
         return [work(part) for part in range(parts)]
 

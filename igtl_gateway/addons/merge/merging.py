@@ -34,6 +34,7 @@ from igtl_gateway.addon.reading import (
     added_marks,
     carry_marks,
     notes_before,
+    only_of_kinds,
     stated_seals,
 )
 from igtl_gateway.addon.untrusted import files, is_same
@@ -181,7 +182,7 @@ def _warned(recorder: _Recorder) -> tuple[list[str], dict[str, str]]:
     counts: Counter[tuple[str, str]] = Counter()
     texts: dict[tuple[str, str], str] = {}
     shared: dict[str, str] = {}
-    for entry in chain(notes_before(recorder.file), _notes(recorder.file)):
+    for entry in chain(notes_before(recorder.file), only_of_kinds(recorder.file, {Kind.NOTE})):
         note = Note.of(entry.data()) if entry.kind is Kind.NOTE else None
         if note is None or note.level < Level.WARN:
             continue
@@ -199,15 +200,6 @@ def _warned(recorder: _Recorder) -> tuple[list[str], dict[str, str]]:
     if len(counts) > _MOST_WARNINGS:
         lines.append(f"{recorder.name}: {len(counts) - _MOST_WARNINGS:,} more, as `info` of the part states them")
     return lines, shared
-
-
-def _notes(file: SessionFile) -> Iterator[Entry]:
-    """The notes of the gateway."""
-    try:
-        found = file.columns(wanted=lambda stream: stream.kind is Kind.NOTE)
-    except Unfit:
-        return file.entries_of_kinds({Kind.NOTE})
-    return chain.from_iterable(columns.entries() for columns in found)
 
 
 def _moved(mark: Mark, clock: Clock) -> Mark:

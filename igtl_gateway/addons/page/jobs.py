@@ -10,7 +10,7 @@ from typing import Any
 
 from igtl_gateway.addon import NS_PER_S, SystemClock, python_command
 from igtl_gateway.addon.processes import Child, is_present, part_of
-from igtl_gateway.addon.terminal import PROGRAM
+from igtl_gateway.addon.terminal import PROGRAM, PROGRESS, PROGRESS_VARIABLE
 from igtl_gateway.addons.page.recordings import child_environment
 
 #: Jobs at a time, jobs that are remembered, and lines of each.
@@ -89,6 +89,7 @@ class Job:
         self.state = RUNNING
         self.lines: deque[str] = deque(maxlen=_LINES)
         self.link = ""
+        self.progress = ""  # such as ``34 %``; "": the verb reports none
         self._clock = SystemClock()
         self._begun_ns = self._ended_ns = self._clock.monotonic_ns()
         self._on_end = on_end
@@ -111,6 +112,7 @@ class Job:
             "seconds": (end_ns - self._begun_ns) / NS_PER_S,
             "last": self._last(),
             "link": self.link if running else "",
+            "progress": self.progress if running else "",
         }
 
     def _last(self) -> str:
@@ -133,6 +135,9 @@ class Job:
         return NOTHING if any(error.startswith(words) for error in errors) else FAILED
 
     def _take(self, line: str) -> None:
+        if line.startswith(PROGRESS):
+            self.progress = line.removeprefix(PROGRESS).strip()
+            return
         self.lines.append(line)
         if self.action == "view" and line.strip().startswith("http://127.0.0.1:"):
             self.link = line.strip()
@@ -146,7 +151,7 @@ class Job:
                 [*python_command("igtl_gateway"), *command],
                 on_line=self._take,
                 on_error_line=self._take,
-                env=child_environment() | {"NO_COLOR": "1", "COLUMNS": "100"},
+                env=child_environment() | {"NO_COLOR": "1", "COLUMNS": "100", PROGRESS_VARIABLE: "1"},
             )
         except OSError as error:
             self._take(f"cannot be started: {error.strerror}")

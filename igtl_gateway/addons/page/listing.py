@@ -17,7 +17,7 @@ from igtl_gateway.addon import NS_PER_S, BeingRecorded, GatewayError, failure_te
 from igtl_gateway.addon.live import REPLAY_SIDES, ReplaySide, plan_replay
 from igtl_gateway.addon.notes import LINK_DOWN, LINK_UP, LOSSES, PAUSED, RESUMED
 from igtl_gateway.addon.processes import ignore_endings, stand_back
-from igtl_gateway.addon.reading import Kind, Level, Note, SessionFile, marks_of, stated_seals
+from igtl_gateway.addon.reading import Kind, Level, Note, SessionFile, marks_of, only_of_kinds, stated_seals
 
 #: Code of the note of messages that a slow peer did not get; those of an episode are no further apart than this, in
 #: seconds; streams that are named.
@@ -80,14 +80,14 @@ def places_of(path: Path) -> dict[str, Any]:
         with SessionFile.open(path) as file:
             slow: dict[str, _SlowPeer] = {}
             if not file.foreign:
-                for entry in file.entries_of_kinds({Kind.EDGE_NOTE, Kind.NOTE, Kind.LINK}):
-                    note = Note.of(entry.data()) if entry.seq else None  # 0: an entry of another kind, not decoded
+                for entry in only_of_kinds(file, {Kind.EDGE_NOTE, Kind.NOTE, Kind.LINK}):
+                    note = Note.of(entry.data())
                     at_s = (entry.stamp_ns - file.start_ns) / NS_PER_S
                     if len(slow) >= MAX_PLACES:  # a file that invents peers
                         slow.clear()
-                    if note and note.code == _SLOW:
+                    if note.code == _SLOW:
                         place = slow.setdefault(str(note.data.get("peer", "")), _SlowPeer()).take(at_s, note)
-                    elif note and (kind := _kind_of(note)):
+                    elif kind := _kind_of(note):
                         place = {"kind": kind, "at_s": at_s, "text": note.text}
                     else:
                         continue

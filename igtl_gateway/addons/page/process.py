@@ -66,6 +66,7 @@ class Page:
         self._session = self._file = ""
         self._begun_ns = 0  # of the file
         self._begun: dict[str, int] = {}  # name in the list → when its recording began, UTC ns
+        self._lasted: dict[str, float] = {}  # the same → how long it took, s, of those that the bridge has closed
         self._path: Path | None = None  # of the last file
         self._dropped = 0  # entries since the file began, at the last sample
         self._lost_ns = 0  # when the last one was, monotonic
@@ -107,11 +108,20 @@ class Page:
             if begun_ns := self._begun.get(row["name"]):
                 row.setdefault("start_ns", begun_ns)
         known = [self._results.of(row["name"], (row["bytes"], row["modified_ns"])) for row in rows]
-        now = {"recording": True, "read": True, "paused": self._is_paused}
         return [
-            row | (now if row["name"] == self._written else {}) | {"results": found | running.get(row["name"], {})}
+            row | self._of_bridge(row) | {"results": found | running.get(row["name"], {})}
             for row, found in zip(rows, known, strict=True)
         ]
+
+    def _of_bridge(self, row: dict[str, Any]) -> dict[str, Any]:
+        """Return what the bridge knows of a recording: it needs no look at the file."""
+        name = row["name"]
+        if name == self._written:
+            return {"recording": True, "read": True, "paused": self._is_paused}
+        lasted_s = self._lasted.get(name)
+        if lasted_s is None or (row["read"] and not row.get("recording")):
+            return {}
+        return {"recording": False, "closed": True, "problem": "", "duration_s": row.get("duration_s", lasted_s)}
 
     def places(self, name: str) -> dict[str, Any] | None:
         """Return what lies on the time line of a recording; None for an unknown one."""
@@ -216,6 +226,10 @@ class Page:
         now_ns = self._clock.monotonic_ns()
         growth = self._growth
         if (known := "" if counters["rests"] else str(path)) != self._file:
+            if self._written and self.recordings:
+                self.recordings.closed(self._written)
+                self._lasted[self._written] = (now_ns - self._begun_ns) / NS_PER_S
+                keep_newest(self._lasted, MAX_LISTED)
             self._file, self._begun_ns = known, now_ns
             growth.clear()
             recorded = whole.with_suffix("") if how["split"] else path
@@ -232,7 +246,7 @@ class Page:
             growth.popleft()
         seconds = (now_ns - growth[0][0]) / NS_PER_S
         per_s = max(0, size - growth[0][1]) / seconds if seconds else 0.0
-        free = disk.free
+        free, left_s = disk.free, counters.get("disk_left_s")
         return {
             "name": path.name,
             "folder": _from_home(path.parent),
@@ -240,8 +254,10 @@ class Page:
             "files": files,
             "per_s": per_s,
             "free": free,
-            "lasts_s": free / per_s if free is not None and per_s > 0 else None,
+            "lasts_s": free / per_s if left_s is None and free is not None and per_s > 0 else left_s,
+            "left_s": left_s,
             "last": self._last,
+            "written": self._written,
             "paused": counters["paused"],
             "rests": counters["rests"],
             "lasted_s": (now_ns - self._begun_ns) / NS_PER_S if known else 0,

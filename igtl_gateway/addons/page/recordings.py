@@ -55,6 +55,7 @@ class Recordings:
         self._older = 0  # recordings that are not listed
         self._tries: dict[tuple[str, _Version], int] = {}  # of those that were not read in time
         self._begun_ns = 0  # of the one that is being read, monotonic
+        self._reading_name = ""  # of the same
 
     def path(self, name: str) -> Path | None:
         """Return the path of a recording of the list; None for any other name."""
@@ -78,7 +79,7 @@ class Recordings:
                 rows.append({"name": name, "bytes": size, "modified_ns": mark[1], **facts, "read": is_read})
                 if not is_read:
                     self._to_read.setdefault(name, version)
-                    if self._begun_ns and name == next(iter(self._to_read)):
+                    if self._begun_ns and name == self._reading_name:
                         rows[-1]["reading_s"] = (self._clock.monotonic_ns() - self._begun_ns) // NS_PER_S
             if self._to_read and not self._reading:
                 self._reading = True
@@ -119,6 +120,17 @@ class Recordings:
             keep_newest(self._places, _MAX_PLACES)
             return found
 
+    def closed(self, name: str) -> None:
+        """A recording was closed just now: what was read of it before is of no use, and it is not still changing."""
+        with self._lock:
+            self._known.pop(name, None)
+
+    def _next(self) -> tuple[str, _Version, int]:
+        """Return which one is read next, and how often it was tried: the newest of those that were tried least."""
+        tries = {name: self._tries.get((name, version), 0) for name, version in self._to_read.items()}
+        name = min(tries, key=lambda each: (tries[each], -self._to_read[each][0][1]))
+        return name, self._to_read[name], tries[name]
+
     def _read_all(self) -> None:
         reader = _Reader()
         while True:
@@ -127,8 +139,8 @@ class Recordings:
                 if not self._to_read:
                     self._reading = False
                     break
-                name, version = next(iter(self._to_read.items()))
-                tries = self._tries.get((name, version), 0)
+                name, version, tries = self._next()
+                self._reading_name = name
             facts = reader.ask(self.folder / name, patience_s=_PATIENCE_S * 2**tries)
             if not reader.is_usable:  # it did not survive the file
                 reader.close()

@@ -18,6 +18,8 @@ from igtl_gateway.base.systems.processes import die_with_parent
 
 #: How often a part is tried whose process was killed: another one may have taken the memory.
 _TRIES = 3
+#: Time between two calls of ``tick``, s.
+_TICK_S = 0.2
 _READ = 1 << 16
 
 
@@ -41,13 +43,16 @@ class _Process:
     reply: bytearray = field(default_factory=bytearray)
 
 
-def in_processes(work: Callable[[int], bytes], parts: int, most: int) -> list[bytes | None]:
+def in_processes(
+    work: Callable[[int], bytes], parts: int, most: int, tick: Callable[[], None] | None = None
+) -> list[bytes | None]:
     """Return what ``work`` makes of each part, in a process of its own; None: a process was killed each time.
 
     Args:
         work: called with the number of a part; it raises nothing.
         parts: number of them.
         most: processes at a time.
+        tick: called now and then while they work.
     """
     replies: list[bytes | None] = [None] * parts
     waiting = [(part, _TRIES) for part in reversed(range(parts))]
@@ -58,7 +63,10 @@ def in_processes(work: Callable[[int], bytes], parts: int, most: int) -> list[by
                 part, tries = waiting.pop()
                 handle, process = _forked(work, part)
                 running[handle] = process, tries
-            for handle in [each for each in wait(list(running)) if isinstance(each, int)]:
+            ended = wait(list(running), _TICK_S if tick else None)
+            if tick:
+                tick()
+            for handle in [each for each in ended if isinstance(each, int)]:
                 process, tries = running[handle]
                 if block := os.read(handle, _READ):
                     process.reply += block

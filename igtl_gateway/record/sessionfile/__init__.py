@@ -20,7 +20,8 @@ The way through the folder, from bytes to sessions:
 ``beside``           every file that a verb writes: beside its place, moved there when it is complete
 ``writer``           entries → file; ``side_file``: the folder of a split recording
 ``reader``           file → entries
-``columns``          entries in bulk: arrays, objects only for what is looked into; ``stream_rows``: written from them
+``columns``          entries in bulk: arrays, objects only for what is looked into; ``stream_rows``: written from them;
+                     ``only``: entries of some kinds
 ``lookup``           starting in the middle of a file
 ``damaged``          the records of a damaged file; ``salvage`` and ``salvage_report``: their messages, and the losses
 ``recovery``         the readable rest of a damaged file as a new one, which is read again

@@ -1,11 +1,15 @@
 from __future__ import annotations
 
 import shutil
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
-from igtl_gateway.addons.page.jobs import ACTIONS, CANCELLED, DONE, FAILED, MAX_RUNNING, NOTHING, RUNNING, Jobs
+import pytest
+
+from igtl_gateway.addons.page import jobs as page_jobs
+from igtl_gateway.addons.page.jobs import ACTIONS, CANCELLED, DONE, FAILED, MAX_RUNNING, NOTHING, RUNNING, Job, Jobs
 from tests.places import FIXTURES
 from tests.timing import WAIT_S
 
@@ -59,3 +63,23 @@ def test_a_review_of_a_file_whose_name_has_such_words_has_failed(tmp_path: Path)
 def test_each_action_is_a_verb() -> None:
     for words, _addon in ACTIONS.values():
         assert words(Path("/x/a.mcap"))[1] == "/x/a.mcap"
+
+
+def test_the_progress_of_a_verification(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.mcap"
+    shutil.copy(FIXTURES / "lego.mcap", path)
+    shown: list[str] = []
+    take = Job._take
+
+    def taken(job: Job, line: str) -> None:
+        take(job, line)
+        shown.append(job.facts()["progress"])
+
+    monkeypatch.setattr(Job, "_take", taken)
+    code = "import sys; print('progress 34 %', file=sys.stderr); print('verified: all 3 outputs equal')"
+    monkeypatch.setattr(page_jobs, "python_command", lambda _: [sys.executable, "-c", code])
+    jobs = Jobs()
+    assert jobs.start("verify", "a.mcap", path)[0]
+    wait(lambda: jobs.rows()[0]["state"] != RUNNING)
+    assert "34 %" in shown and jobs.lines(1) == ["verified: all 3 outputs equal"]
+    assert jobs.rows()[0]["progress"] == "" and jobs.rows()[0]["state"] == DONE

@@ -303,6 +303,28 @@ def test_size_and_counts_are_of_the_file_that_is_written(source: Source, tmp_pat
         assert (found["name"], found["bytes"], found["entries"]) == ("today_2.mcap", 7, 3)
 
 
+def test_a_recording_is_closed_as_soon_as_the_bridge_has_closed_it(
+    source: Source, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file stayed `recording` in the list, with all buttons off, until a look at it: for 90 s."""
+    folder = tmp_path / "a"
+    (folder / "today.mcap").write_bytes(bytes(100))
+    (folder / "other.mcap").write_bytes(bytes(100))
+    looked = {"closed": False, "recording": True, "problem": "is being recorded", "read": True}
+    found = [{"name": name, "bytes": 100, "modified_ns": 1, **looked} for name in ("today.mcap", "other.mcap")]
+    with closing(Page(folder, source)) as page:
+        assert page.recordings
+        monkeypatch.setattr(page.recordings, "rows", lambda: [dict(row) for row in found])
+        source.report("today.mcap", 4)
+        assert page.sessions()[0]["recording"] and recording_of(page)["written"] == "today.mcap"
+        source.report("today_2.mcap", 4)  # Stop, and Start
+        today, other = page.sessions()
+        assert (today["closed"], today["recording"], today["problem"]) == (True, False, "")
+        assert today["duration_s"] >= 0 and other["recording"]  # another program writes that one
+        found[0] |= {"read": True, "recording": False, "closed": False, "problem": "was cut off"}
+        assert page.sessions()[0]["problem"] == "was cut off"  # what a look at it has found
+
+
 def test_a_recording_has_its_begin_before_it_was_read(source: Source, tmp_path: Path) -> None:
     folder = tmp_path / "a"
     (folder / "today.mcap").write_bytes(bytes(100))

@@ -190,12 +190,15 @@ function button(text, onclick, { kind = "", off = "", key = text, ...more } = {}
   return h(`button.btn${kind}`, { type: "button", onclick, disabled: Boolean(off) || locked(), title: locked() ? "This link is read-only" : off || null, "data-key": key, ...more }, text);
 }
 
+let listed = "";
 function draw() {
   const now = bridge(), rec = now?.recording;
   $("role").hidden = !locked();
   const wrong = state.wrong;
   $("badge").hidden = !wrong; put($("badge"), String(wrong)); $("badge").setAttribute("aria-label", `${wrong} to check`);
   drawTrouble(rec);
+  const files = JSON.stringify([rec?.written, rec?.paused, rec?.files]);  // what the list shows of the bridge
+  if (files !== listed) { listed = files; if (view === "sessions" || view === "replay") loadSessions(); }
   const pill = $("pill");
   pill.hidden = !state.has_bridge;
   const [dot, word] = recState();
@@ -489,7 +492,7 @@ function result(row, action, none) {
 }
 function sessionState(row) {
   if (row.recording) return row.paused ? ["warning", "paused"] : ["waiting", "recording"];
-  if (!row.read) return ["waiting", row.reading_s == null ? "to be read" : row.reading_s < 3 ? "reading" : `reading, ${span(row.reading_s).replace(/\.0 s$/, " s")}`];
+  if (!row.read && !row.closed) return ["waiting", row.reading_s == null ? "to be read" : row.reading_s < 3 ? "reading" : `reading, ${span(row.reading_s).replace(/\.0 s$/, " s")}`];
   if (row.unread) return ["warning", "not read"];
   return row.problem ? ["error", "not closed"] : ["ok", "closed"];
 }
@@ -530,14 +533,20 @@ async function toggleJob(number) {
 }
 async function readJob() { if (openJob) try { jobLines = await (await get(`/api/job?number=${openJob}`)).json(); } catch { /* the banner says it */ } }
 setInterval(async () => { if (openJob && view === "sessions") { await readJob(); drawSessions(); } }, 1500);
+/* How far something is, in percent; NaN: it is not known. */
+function bar(title, percent) {
+  const made = h("i"), known = percent >= 0;
+  if (known) { made.className = "known"; made.style.width = `${percent}%`; }
+  return h("div.bar", { role: "progressbar", "aria-label": title, "aria-valuemin": known ? 0 : null, "aria-valuemax": known ? 100 : null, "aria-valuenow": known ? percent : null }, made);
+}
 function jobRow(job) {
   const [kind, word] = job.link ? ["ok", "ready"] : RESULTS_OF[job.action]?.[job.state] || RESULTS[job.state], title = ACTIONS.find(([action]) => action === job.action)[1], open = openJob === job.number;
-  return h("li", null, h("div.line1", null, icon(kind), h("b", null, title), h("span.clip", null, job.name), h("span.sub", null, `${word} · ${span(job.seconds)}`), h("span.gap"),
+  return h("li", null, h("div.line1", null, icon(kind), h("b", null, title), h("span.clip", null, job.name), h("span.sub", null, [job.progress || word, span(job.seconds)].join(" · ")), h("span.gap"),
     job.link && HERE.has(location.hostname) && h("a.btn.small.primary", { href: job.link, target: "_blank", rel: "noopener noreferrer" }, "Open the viewer"),
     h("button.btn.small", { type: "button", "aria-expanded": open, "data-key": `show ${job.number}`, onclick: () => toggleJob(job.number) }, open ? "Hide output" : "Show output"),
     job.state === "running" && button("Cancel", () => act({ do: "cancel", number: job.number }), { kind: ".small.danger", key: `cancel ${job.number}` })),
     job.link && !HERE.has(location.hostname) && h("p.sub", null, "The viewer listens only on the machine that has the recordings: there, open ", h("code", null, job.link)),
-    job.last && !open && h("div.last", null, job.last), job.state === "running" && !job.link && h("div.bar", { role: "progressbar", "aria-label": `${title} runs` }, h("i")),
+    job.last && !open && h("div.last", null, job.last), job.state === "running" && !job.link && bar(`${title} runs`, parseInt(job.progress, 10)),
     open && h("pre", { tabindex: 0, "aria-label": "Output" }, jobLines.join("\n") || "no output yet"));
 }
 
