@@ -138,8 +138,10 @@ NOTES: dict[str, dict[str, str]] = {
         "ros_hold_overflow": "a topic had many messages before its subscribers were matched",
         "latched_forgotten": "latched messages exceed `latched_mib`: those of the largest topic are forgotten",
         "ros_unknown_type": "the type of a topic is not installed",
-        "no_source": "a configured topic, arm, frame or device has not come 5 s after the start, or the first message "
-        "of a peer, or a message does not have the field of a trigger; the text has the nearest name that is there",
+        "no_source": "a configured topic, arm, frame, device or stream is not there 5 s after the start, or has left, "
+        "or nothing can come from it (type, QoS), or a message does not have the field of a trigger; the text has the "
+        "nearest name that is there",
+        "source_came": "a source with a note `no_source` has come",
         "ros_refused": "ROS refuses a topic, for example because of its name",
         "ros_publish_failed": "a message was not published",
         "ros_receive_failed": "taking a message failed",

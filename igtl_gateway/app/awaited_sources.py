@@ -1,25 +1,37 @@
-"""Whether the configured sources have come: reported some seconds after the start, and shown until they come."""
+"""Whether the configured sources are there: reported some seconds after the start, and shown until they come.
+
+A source that comes late withdraws its line, and one that leaves is missed again.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.gateway.expected import ExpectedSource, MissingSource, PresentSources, missing_sources
+from igtl_gateway.gateway.expected import (
+    LEAVING,
+    OF_PEERS,
+    ExpectedSource,
+    MissingSource,
+    PresentSources,
+    missing_sources,
+)
 from igtl_gateway.gateway.log.note import Note
 
-#: Time after the start, and after the first message of a peer, until a source is missed; interval of the looks.
-WAIT_NS, _EVERY_NS = 5 * NS_PER_S, 2 * NS_PER_S
-_OF_PEERS = frozenset({"device", "stream"})
+#: Time after the start, after the first message of a peer, and after a source has left, until it is missed.
+WAIT_NS = 5 * NS_PER_S
+#: Interval of the looks, and that of a bridge whose sources are all there.
+_EVERY_NS, _SELDOM_NS = 2 * NS_PER_S, 5 * NS_PER_S
 
 
 class AwaitedSources:
-    """The sources of a bridge that have not come.
+    """The sources of a bridge that are not there.
 
     Args:
         expected: the sources of its configuration.
         present: returns what is there now.
-        on_note: takes a note about each source that has not come.
+        on_note: takes a note about each source that has not come, and one when it comes.
 
     Attributes:
         missing: those that are missing now; empty in the first seconds.
@@ -32,10 +44,12 @@ class AwaitedSources:
         on_note: Callable[[Note], None],
     ) -> None:
         self.missing: tuple[MissingSource, ...] = ()
-        self._awaited = list(expected)
+        self._expected = list(expected)
         self._present = present
         self._on_note = on_note
-        self._noted: set[ExpectedSource] = set()
+        self._noted: dict[ExpectedSource, MissingSource] = {}  # without a note that they have come
+        self._came: set[ExpectedSource] = set()
+        self._gone_ns: dict[ExpectedSource, int] = {}
         self._first_ns: int | None = None  # of looks, and of messages from peers
         self._heard_ns: int | None = None
         self._looked_ns = 0
@@ -47,19 +61,49 @@ class AwaitedSources:
             now_ns: monotonic time; the first call is at the start.
         """
         self._first_ns = now_ns if self._first_ns is None else self._first_ns
-        if not self._awaited or now_ns - self._first_ns < WAIT_NS or now_ns - self._looked_ns < _EVERY_NS:
+        every_ns = _EVERY_NS if self.missing or len(self._came) < len(self._expected) else _SELDOM_NS
+        if not self._expected or now_ns - self._first_ns < WAIT_NS or now_ns - self._looked_ns < every_ns:
             return
         self._looked_ns = now_ns
         present = self._present()
-        if present.devices is not None and self._heard_ns is None:
+        if present.devices and self._heard_ns is None:
             self._heard_ns = now_ns
-        missing = missing_sources(self._awaited, present)
-        # who has come once may pause: silence has notes of its own
-        absent = {each.source for each in missing}
-        self._awaited = [each for each in self._awaited if each in absent or present.names(each.kind) is None]
-        too_early = self._heard_ns is None or now_ns - self._heard_ns < WAIT_NS
-        self.missing = tuple(each for each in missing if not (too_early and each.source.kind in _OF_PEERS))
+        absent = {each.source: each for each in missing_sources(self._expected, present)}
+        self._there(absent, present)
+        missing = (self._judged(each, now_ns) for each in absent.values())
+        self.missing = tuple(each for each in missing if each)
         for each in self.missing:
-            if each.source not in self._noted:
-                self._noted.add(each.source)
-                self._on_note(each.note())
+            self._note(each)
+
+    def _there(self, absent: dict[ExpectedSource, MissingSource], present: PresentSources) -> None:
+        """Take those that are there now; who cannot be seen to leave is not looked for any more."""
+        for source in self._expected:
+            if source in absent or present.names(source.kind) is None:
+                continue
+            self._came.add(source)
+            self._gone_ns.pop(source, None)
+            if (noted := self._noted.pop(source, None)) and source.kind != "link":
+                self._on_note(noted.arrival())
+        self._expected = [each for each in self._expected if each.kind in LEAVING or each not in self._came]
+
+    def _judged(self, missing: MissingSource, now_ns: int) -> MissingSource | None:
+        """Return a source that is missing for long enough, and None before that."""
+        source = missing.source
+        if source in self._came:
+            if now_ns - self._gone_ns.setdefault(source, now_ns) < WAIT_NS:
+                return None
+            return replace(missing, why=f"{missing.why} any more", near="")
+        heard_ns = self._heard_ns
+        is_early = source.kind in OF_PEERS and heard_ns is not None and now_ns - heard_ns < WAIT_NS
+        return None if is_early else missing
+
+    def _note(self, missing: MissingSource) -> None:
+        """Note a source that was not noted, or not for this reason, or without a near name."""
+        noted = self._noted.get(missing.source)
+        if noted and (noted.why, bool(noted.near)) == (missing.why, bool(missing.near)):
+            return
+        self._noted[missing.source] = missing
+        kind = missing.source.kind
+        # of a link that is not up, and of a type or QoS that does not fit, its edge has a note
+        if not (kind == "link" or (kind == "topic" and missing.is_there)):
+            self._on_note(missing.note())

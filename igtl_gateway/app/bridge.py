@@ -33,6 +33,7 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.edges.interface import RosSide
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.tcp import TcpEdge
+from igtl_gateway.edges.tcp.sockets import address_text
 from igtl_gateway.gateway import CUT, Session, make_core
 from igtl_gateway.gateway.expected import PresentSources, expected_sources
 from igtl_gateway.gateway.fastpath import LARGE_BYTES
@@ -171,8 +172,9 @@ class Bridge:
             chosen.exclude,
             options.recording.triggers if options.record else (),
             [text.rpartition("=")[0] for text in options.site.classes],
+            [address_text(each) for each in options.connect],
         )
-        #: The configured sources that have not come.
+        #: The configured sources that are not there.
         self.awaited = AwaitedSources(expected, self._present_sources, self.hub.note)
         self._silences = Silences()
         tick_ns = _FAULTY_TICK_NS if config.faults else _TICK_NS
@@ -377,16 +379,26 @@ class Bridge:
         """Return the sources that are there; of ROS only if there is a graph."""
         self.collect()
         totals = self.gateway.ledger.totals()
-        sent = totals.get("igtl_in", {})
-        topics = frames = None
+        topics: dict[str, set[str]] | None = None
+        frames, clashes = None, {}
         if self.ros:
-            own = self.ros.full_name
-            topics = {each.topic for each in self.ros.endpoints() if each.publishes and each.node != own}
-            frames = self.gateway.frames()
-        devices = {name.partition("/")[2] for name in sent}
+            topics = {}
+            for each in self.ros.publications():
+                topics.setdefault(each.topic, set()).add(each.type)
+            frames, clashes = self.gateway.frames(), dict(self.ros.failing())
+        devices: dict[str, set[str]] = {}
+        for name in totals.get("igtl_in", {}):
+            type_name, _, device = name.partition("/")
+            devices.setdefault(device, set()).add(type_name)
         streams = {name for kind in totals.values() for name in kind}
-        streams |= {name.partition("/")[2] for name in streams if name[:1] != "/"} | (topics or set())
-        return PresentSources(topics, frames, devices or None, streams or None)
+        streams |= {name.partition("/")[2] for name in streams if name[:1] != "/"} | set(topics or ())
+        links = self.tcp.links()
+        servers = {address_text(each) for each in self.options.connect}
+        peers = {each.peer for each in links} | {address_text(each) for each in self.addresses} | servers
+        answering = None if self.gateway.config.relay else servers - {each.peer for each in links if not each.number}
+        connected = sum(each.connected for each in links)
+        apart = self.gateway.frames_apart()
+        return PresentSources(topics, frames, devices, streams, answering, peers, connected, clashes, apart)
 
     def _recorded_qos(self, topic: str, ros_type: str) -> Qos | None:
         return self.gateway.qos(topic) or self.subscriptions.qos(topic, ros_type)

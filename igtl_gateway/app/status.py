@@ -80,6 +80,7 @@ class BridgeStatus:
             ],
             "watched": self._watched(),
             "missing": [each.text for each in bridge.awaited.missing],
+            "sources": [each.to_dict() for each in bridge.awaited.missing],
             "queues": {
                 str(number): {"messages": count.queued_messages, "bytes": count.queued_bytes}
                 for number, count in counters.items()

@@ -25,6 +25,7 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.edges.interface import DISCOVERY_NS
 from igtl_gateway.gateway import FAULT
 from igtl_gateway.gateway.denials import Denials
+from igtl_gateway.gateway.expected import NO_SOURCE
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.wire.registry import BODIES
@@ -42,9 +43,10 @@ _MAX_CAUSES = (
 )
 
 
-#: Codes of notes that are each printed: they name a file that is missing.
-_OF_DISK = frozenset(
+#: Codes of notes that are each printed: they name a file or a source that is missing.
+_EACH = frozenset(
     {
+        NO_SOURCE,
         "record_failed",
         "record_continued",
         "record_part_lost",
@@ -193,7 +195,7 @@ class TextOutput:
             is_first = cause not in self._repeats
             self._repeats[cause] += 1 + event.more
             # the recording has all notes; the terminal has the first of each cause
-            is_shown = (note.level is Level.INFO and note.code != FAULT) or is_first or note.code in _OF_DISK
+            is_shown = (note.level is Level.INFO and note.code != FAULT) or is_first or note.code in _EACH
             if is_shown and self._logs(note.level):
                 more = f" ({event.more:,} more like it)" if event.more else ""
                 self._print(f"{self._MARKS[note.level]} {note_text(note, links)}{more}", _PRIORITIES[note.level])

@@ -22,7 +22,7 @@ NOTE_CODES = (
     "ros_bad_token ros_call_refused ros_callback_failed ros_held_old ros_hold_overflow ros_incompatible_qos "
     "ros_lost ros_publish_failed ros_receive_failed ros_refused ros_slow ros_subscribed ros_type_hash "
     "ros_unknown_type setting shown_instead site_clock site_command_late site_latency site_lost "
-    "site_over_budget stale stalled stamp_backwards stamp_future stamp_still stamps_corrected stream "
+    "site_over_budget source_came stale stalled stamp_backwards stamp_future stamp_still stamps_corrected stream "
     "stream_back stream_refused stream_silent stream_started text_cut tick tls_failed too_large "
     "too_many_frames too_many_streams trajectory_not_drawn transform_status trigger trigger_incomplete "
     "trigger_saved truncated uint32_as_float64 unit_jump unknown_frame unknown_status unreachable "

@@ -161,6 +161,15 @@ class FrameTree:
         """Return whether a frame has a parent or a child."""
         return frame in self._edges or any(edge.parent == frame for edge in self._edges.values())
 
+    def root_of(self, frame: str) -> str:
+        """Return the frame without a parent above a frame, or itself; as ``names`` for any thread."""
+        for _ in range(MAX_DEPTH + 1):
+            edge = self._edges.get(frame)
+            if edge is None:
+                break
+            frame = edge.parent
+        return frame
+
     def chain(self, target: str, base: str) -> Chain | None:
         """Return the edges between two frames, by child frame; None if the frames are not connected."""
         key = (target, base)

@@ -289,6 +289,17 @@ class Gateway:
         """Return the frames of the tf tree, which the gateway keeps if it sends frames."""
         return self._tf.tree.names()
 
+    def frames_apart(self) -> dict[str, str]:
+        """Return the frames that are sent and in the tf tree → their base, in the tree, too, but not connected."""
+        tree, requests = self._tf.tree, [row.request() for row in self.config.tf_out]
+        known = tree.names() if requests else set()
+        return {
+            frame: request.base
+            for request in requests
+            for frame in request.frames
+            if {frame, request.base} <= known and tree.root_of(frame) != tree.root_of(request.base)
+        }
+
     def receivers(self) -> dict[str, int]:
         """Return stream to peers → peers that get each of its messages, as far as this is known."""
         return self.fast_path.receivers()

@@ -121,6 +121,10 @@ class RelayGateway:
         """Return no frames: a relay has no ROS side."""
         return set()
 
+    def frames_apart(self) -> dict[str, str]:
+        """Return no frames."""
+        return {}
+
     def until_ns(self, entry: Entry) -> int:
         """Return 0: a relay publishes no topic."""
         return 0

@@ -5,26 +5,27 @@ from __future__ import annotations
 from igtl_gateway.app.awaited_sources import AwaitedSources
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.configuration import Config, ToIgtlRow, ToRosRow
-from igtl_gateway.gateway.expected import PresentSources, expected_sources
-from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.expected import ExpectedSource, PresentSources, expected_sources
+from igtl_gateway.gateway.log.note import Level, Note
 
 EXPECTED = expected_sources(Config(to_igtl=(ToIgtlRow(topic="/tol"),), to_ros=(ToRosRow(device="Prob"),)))
 
 
 class Bridge:
-    def __init__(self) -> None:
+    def __init__(self, expected: list[ExpectedSource] = EXPECTED) -> None:
         self.present = PresentSources(topics=(), devices=None)
         self.notes: list[Note] = []
-        self.looks = 0
-        self.awaited = AwaitedSources(EXPECTED, self._now, self.notes.append)
+        self.looks = self.second = 0
+        self.awaited = AwaitedSources(expected, self._now, self.notes.append)
 
     def _now(self) -> PresentSources:
         self.looks += 1
         return self.present
 
     def until(self, seconds: int) -> list[str]:
-        for second in range(seconds):
+        for second in range(self.second, seconds):
             self.awaited.look(100 * NS_PER_S + second * NS_PER_S)
+        self.second = seconds
         return [each.source.name for each in self.awaited.missing]
 
 
@@ -33,23 +34,66 @@ def test_a_source_that_does_not_come_is_reported_once_after_five_seconds() -> No
     assert bridge.until(5) == [] and not bridge.looks
     assert bridge.until(6) == ["/tol"]
     assert bridge.until(30) == ["/tol"]
-    assert [note.stream for note in bridge.notes] == ["/tol"]
+    assert [(note.stream, note.level) for note in bridge.notes] == [("/tol", Level.WARN)]
 
 
-def test_a_device_is_missed_only_where_peers_send() -> None:
+def test_a_device_is_missed_once_its_peer_has_sent_for_some_seconds() -> None:
     bridge = Bridge()
     bridge.present = PresentSources(topics=("/tol",), devices=("Probe",))
     assert bridge.until(8) == [], "the peers have sent for some seconds only"
     assert bridge.until(14) == ["Prob"]
 
 
-def test_a_source_that_has_come_is_not_missed_when_it_leaves() -> None:
+def test_a_device_is_missed_where_no_peer_comes() -> None:
+    bridge = Bridge()
+    bridge.present = PresentSources(topics=("/tol",), devices=(), connected=0)
+    assert bridge.until(8) == ["Prob"]
+    bridge.present = PresentSources(topics=("/tol",), devices=("Probe",), connected=1)
+    assert bridge.until(11) == [], "the peer may send it as its next message"
+    assert bridge.until(30) == ["Prob"]
+    assert [note.text for note in bridge.notes] == [
+        "device Prob: no peer is connected (to_ros[0])",
+        "device Prob: no peer sends it; did you mean 'Probe'? (to_ros[0])",
+    ]
+
+
+def test_a_source_that_comes_late_withdraws_its_line_and_one_that_leaves_is_missed_again() -> None:
     bridge = Bridge()
     assert bridge.until(7) == ["/tol"]
     bridge.present = PresentSources(topics=("/tol",), devices=("Prob",))
     assert bridge.until(20) == []
+    assert [(note.code, note.text) for note in bridge.notes[1:]] == [
+        ("source_came", "topic /tol: now arrives (to_igtl[0])")
+    ]
+    bridge.present = PresentSources(topics=("/tool",), devices=("Prob",))
+    assert bridge.until(24) == [], "a program that is started again leaves for a moment"
+    assert bridge.until(40) == ["/tol"]
+    assert [note.text for note in bridge.notes[2:]] == ["topic /tol: no publisher any more (to_igtl[0])"]
+    bridge.present = PresentSources(topics=("/tol",), devices=("Prob",))
+    assert bridge.until(60) == []
+    assert [note.code for note in bridge.notes[3:]] == ["source_came"]
+
+
+def test_sources_that_cannot_be_seen_to_leave_are_not_looked_for_once_they_came() -> None:
+    bridge = Bridge([each for each in EXPECTED if each.kind == "device"])
     bridge.present = PresentSources(topics=(), devices=("Prob",))
-    assert bridge.until(40) == [] and len(bridge.notes) == 1
+    assert bridge.until(20) == []
     looks = bridge.looks
     bridge.until(60)
-    assert bridge.looks == looks, "nothing is awaited any more"
+    assert bridge.looks == looks and not bridge.notes
+
+
+def test_a_link_has_notes_of_its_own() -> None:
+    bridge = Bridge(expected_sources(Config(), connect=["10.0.0.5:18944"]))
+    bridge.present = PresentSources(links=())
+    assert bridge.until(20) == ["10.0.0.5:18944"] and not bridge.notes
+
+
+def test_a_type_that_does_not_fit_has_a_row_and_the_note_of_its_subscription() -> None:
+    bridge = Bridge()
+    bridge.until(7)
+    bridge.present = PresentSources(topics={"/tol": ["x_msgs/msg/Y"]})
+    assert bridge.until(30) == ["/tol"] and len(bridge.notes) == 1
+    assert bridge.awaited.missing[0].text == "topic /tol: x_msgs/msg/Y has no conversion (to_igtl[0])"
+    bridge.present = PresentSources(topics={"/tol": ["std_msgs/msg/String"]})
+    assert bridge.until(40) == [] and bridge.notes[1].code == "source_came"

@@ -12,7 +12,7 @@ from typing import Any
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import RosError
 from igtl_gateway.base.qos import Endpoint, Qos
-from igtl_gateway.edges.interface import TopicCounts
+from igtl_gateway.edges.interface import Publication, TopicCounts
 from igtl_gateway.edges.ros.receiver import NativeReceiver
 from igtl_gateway.edges.ros.subscribing import message_callback
 from igtl_gateway.edges.ros.topics import TopicSubscription
@@ -232,9 +232,17 @@ class RosEdge:
         self._written_ns[order.topic] = clock.monotonic_ns()
         return None
 
+    def publications(self) -> list[Publication]:
+        """There is no graph."""
+        return []
+
     def endpoints(self) -> list[Endpoint]:
         """There is no graph."""
         return []
+
+    def failing(self) -> dict[str, str]:
+        """Nothing fails."""
+        return {}
 
     def has_subscriber(self, topic: str) -> bool:
         return self.middleware.subscribers.get(topic, 1) > 0

@@ -89,7 +89,7 @@ def test_what_a_recording_does_not_have_is_named(tmp_path: Path) -> None:
         assert absent_sources(file, Config()) == []
         found = absent_sources(file, config)
     assert len(found) == 2
-    assert found[0].startswith("ProbToTracker is configured (to_ros[1]), but no peer sends it; did you mean 'ProbeToT")
+    assert found[0].startswith("device ProbToTracker: no peer sends it; did you mean 'ProbeToTracker'? (to")
 
 
 @dataclass

@@ -36,7 +36,7 @@ CODES = frozenset({
     *"record_drop record_failed record_refused record_undefined".split(),
     *"record_thread record_paused record_resumed record_snapshot fault fault_disconnect synthetic".split(),
     *"record_started record_stopped record_stalled record_moves record_waits".split(),
-    *"no_source trigger trigger_saved trigger_incomplete".split(),
+    *"no_source source_came trigger trigger_saved trigger_incomplete".split(),
     *"record_continued record_part_lost record_split_held record_again record_late record_on_time".split(),
     *"record_space_low record_space".split(),
     *"retention_deleted retention_kept retention_clock retention_failed".split(),

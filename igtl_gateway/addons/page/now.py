@@ -55,15 +55,15 @@ _GONE = ", which has left"
 _STAMPS = {"stamp_backwards": "decrease", "stamp_still": "unchanged", "stamp_future": "in the future"}
 
 
-def _missing_row(source: Sequence[str]) -> dict[str, Any]:
-    """Return the row of a configured source that has not come: its name, its kind and a sentence."""
-    name, kind, text = source
+def _missing_row(source: Mapping[str, str]) -> dict[str, Any]:
+    """Return the row of a configured source that is not there, as `MissingSource.to_dict` describes it."""
+    name, kind = source["name"], source["kind"]
     return {
         "key": f"missing {kind} {name}",
         "state": WARNING,
         "name": name,
         "type": kind,
-        "side": "igtl_in" if kind == "device" else "ros_in",
+        "side": "igtl_in" if kind in ("device", "peer") else "ros_in",
         "rate_hz": 0.0,
         "spark": "",
         "age_s": None,
@@ -74,7 +74,7 @@ def _missing_row(source: Sequence[str]) -> dict[str, Any]:
         "received": 0,
         "dropped": 0,
         "stamps": "",
-        "text": text,
+        "text": source["text"],
         "advice": "correct the name, or start its program",
         "way": "configured, but not there",
     }

@@ -60,7 +60,7 @@ def sample_of(bridge: Bridge) -> dict[str, Any]:
         ],
         "totals": {side: totals.get(side, {}) for side in SIDES},
         "drops": bridge.gateway.ledger.drops(),
-        "missing": [(one.source.name, one.source.kind, one.text) for one in bridge.awaited.missing],
+        "missing": [one.to_dict() for one in bridge.awaited.missing if one.source.kind != "link"],
         "receivers": bridge.gateway.receivers(),
         "recorder": recorder and recorder.facts() | {"path": str(bridge.options.record)},
     }

@@ -248,6 +248,10 @@ class ZenohEdge(Halves, PlainSide):
         self.sync()
         return self._reports.counters()
 
+    def failing(self) -> dict[str, str]:
+        """Topic that others publish → why nothing has come from it."""
+        return self._reports.failing()
+
     def _make_inbox(self) -> Inbox:
         return Inbox()
 

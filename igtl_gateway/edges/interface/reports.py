@@ -59,6 +59,7 @@ class Reports:
         self._counts: dict[str, TopicCounts] = {}
         self._note_once = Once()
         self._refusals: dict[tuple[str, str, str], str] = {}  # action, topic, type → cause
+        self._clashes: dict[str, str] = {}  # topic → the policy of a publisher that no subscription of ours fits
 
     def counters(self) -> dict[str, dict[str, int]]:
         """Counts of each topic, as ``TopicCounts`` names them."""
@@ -93,6 +94,14 @@ class Reports:
         """Why the action is impossible, or ``""``."""
         return self._refusals.get((action, topic, type_name), "")
 
+    def failing(self) -> dict[str, str]:
+        """Topic that others publish → why nothing has come from it."""
+        with self._lock:
+            found = {topic: f"the {policy} of its publisher does not fit" for topic, policy in self._clashes.items()}
+            found |= {topic: why for (action, topic, _), why in self._refusals.items() if action == "subscribe"}
+            counts = {topic: self._counts.get(topic) for topic in found}
+        return {topic: why for topic, why in found.items() if not (one := counts[topic]) or not one.received}
+
     def publish_failed(self, topic: str, failure: str) -> None:
         """Note, once for each topic, that a message was not published; nothing for ``""``."""
         if failure:
@@ -102,7 +111,10 @@ class Reports:
         """Note, once for each topic, that a callback raised."""
         self.note_once(Level.ERROR, "ros_callback_failed", f"{what}: {first_line(error)}", topic)
 
-    def incompatible_qos(self, topic: str, peer: str, policy: str) -> None:
+    def incompatible_qos(self, topic: str, peer: str, policy: str, *, publishes: bool = False) -> None:
         """Note that nothing passes between us and a publisher or subscriber."""
+        if publishes:
+            with self._lock:
+                self._clashes[topic] = policy
         text = f"{topic}: {peer} has an incompatible {policy}, nothing passes between it and us"
         self.note(Level.WARN, "ros_incompatible_qos", text, topic, {"policy": policy, "peer": peer})

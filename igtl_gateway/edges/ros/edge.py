@@ -198,6 +198,10 @@ class RosEdge(Halves):
         """Per topic: messages received, published, held now, lost (before we took them, or while held), failed."""
         return self._reports.counters()
 
+    def failing(self) -> dict[str, str]:
+        """Topic that others publish → why nothing has come from it."""
+        return self._reports.failing()
+
     def _callback(self, subscription: TopicSubscription) -> Callback:
         """The callback of a new subscription."""
         return message_callback(subscription, self._on_message, self._reports)

@@ -128,4 +128,4 @@ class Subscribing(Subscriptions[TopicSubscription]):
 
     def _note_incompatible(self, topic: str, event: Any) -> None:
         policy = self._node.rclpy.qos.qos_policy_name_from_kind(event.last_policy_kind)
-        self._reports.incompatible_qos(topic, "a publisher", policy)
+        self._reports.incompatible_qos(topic, "a publisher", policy, publishes=True)
