@@ -26,6 +26,20 @@ static int all_tuples(PyObject *forms)
     return 1;
 }
 
+/* Places for ``rest`` objects behind these numbers, or NULL with the error set. */
+static PyObject *behind_numbers(const int64_t *numbers, Py_ssize_t count, Py_ssize_t rest)
+{
+    PyObject *result = PyTuple_New(count + rest);
+    for (Py_ssize_t i = 0; result && i < count; i++) {
+        PyObject *number = PyLong_FromLongLong(numbers[i]);
+        if (number)
+            PyTuple_SET_ITEM(result, i, number);
+        else
+            Py_CLEAR(result);
+    }
+    return result;
+}
+
 static PyObject *pose_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
     (void)module;
@@ -56,11 +70,9 @@ static PyObject *pose_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t
     int64_t source_ns = ticks_to_ns(get_u64(data + TICKS_AT));
     int64_t stamp_ns = own && source_ns > 0 ? source_ns : received_ns;
     Py_ssize_t forms = PyTuple_GET_SIZE(args[8]);
-    PyObject *result = PyTuple_New(2 + forms);
+    PyObject *result = behind_numbers((const int64_t[]){source_ns, stamp_ns}, 2, forms);
     if (!result)
         return NULL;
-    PyTuple_SET_ITEM(result, 0, PyLong_FromLongLong(source_ns));
-    PyTuple_SET_ITEM(result, 1, PyLong_FromLongLong(stamp_ns));
     for (Py_ssize_t i = 0; i < forms; i++) {
         PyObject *form = PyTuple_GET_ITEM(args[8], i), *template;
         Py_ssize_t stamp_at, id_at = 0;
@@ -118,10 +130,9 @@ static PyObject *pose_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
     int64_t sent_ns = header_ns ? header_ns : source_ns;
     int64_t stamp_ns = own && sent_ns > 0 ? sent_ns : received_ns;
     Py_ssize_t forms = PyTuple_GET_SIZE(args[8]);
-    PyObject *result = PyTuple_New(1 + forms);
+    PyObject *result = behind_numbers(&stamp_ns, 1, forms);
     if (!result)
         return NULL;
-    PyTuple_SET_ITEM(result, 0, PyLong_FromLongLong(stamp_ns));
     for (Py_ssize_t i = 0; i < forms; i++) {
         PyObject *form = PyTuple_GET_ITEM(args[8], i), *template;
         Py_ssize_t at, digits_at;
@@ -214,10 +225,8 @@ static PyObject *bulk_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t
         goto general;
     int64_t source_ns = ticks_to_ns(get_u64(data + TICKS_AT));
     int64_t stamp_ns = own && source_ns > 0 ? source_ns : received_ns;
-    if (!(result = PyTuple_New(2 + forms_count)))
+    if (!(result = behind_numbers((const int64_t[]){source_ns, stamp_ns}, 2, forms_count)))
         goto done;
-    PyTuple_SET_ITEM(result, 0, PyLong_FromLongLong(source_ns));
-    PyTuple_SET_ITEM(result, 1, PyLong_FromLongLong(stamp_ns));
     for (Py_ssize_t i = 0; i < forms_count; i++) {
         struct ros_form *form = &forms[i];
         if (!read_ros_form(PyTuple_GET_ITEM(args[8], i), &stream, form))
@@ -343,9 +352,8 @@ static PyObject *bulk_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
     int64_t sent_ns = found.header_ns ? found.header_ns : source_ns;
     int64_t stamp_ns = own && sent_ns > 0 ? sent_ns : received_ns;
     int apart = stream.form == PICTURE && found.size >= LARGE_BYTES && is_flat(args[0]);
-    if (!(result = PyTuple_New(1 + forms_count)))
+    if (!(result = behind_numbers(&stamp_ns, 1, forms_count)))
         goto done;
-    PyTuple_SET_ITEM(result, 0, PyLong_FromLongLong(stamp_ns));
     for (Py_ssize_t i = 0; i < forms_count; i++) {
         struct igtl_form *form = &forms[i];
         if (!read_igtl_form(PyTuple_GET_ITEM(args[8], i), form))

@@ -97,8 +97,12 @@ static PyObject *stream_collect(Stream *self, PyObject *nothing)
     PyObject *sent = PyTuple_New(self->output_count), *ignored = PyTuple_New(self->output_count), *found = NULL;
     for (int i = 0; sent && ignored && i < self->output_count; i++) {
         struct output *output = &self->outputs[i];
-        PyTuple_SET_ITEM(sent, i, PyLong_FromUnsignedLongLong(output->sent));
-        PyTuple_SET_ITEM(ignored, i, PyLong_FromLongLong(taken(&output->ignored)));
+        PyObject *sendings = PyLong_FromUnsignedLongLong(output->sent);
+        PyObject *ignorings = PyLong_FromLongLong(taken(&output->ignored));
+        PyTuple_SET_ITEM(sent, i, sendings);
+        PyTuple_SET_ITEM(ignored, i, ignorings);
+        if (!sendings || !ignorings)
+            Py_CLEAR(sent);
         output->sent = 0;
     }
     uint64_t seq = self->latest_seq;
