@@ -114,6 +114,7 @@ NOTES: dict[str, dict[str, str]] = {
         "stream_silent": "a periodic stream of an open link, or of ROS, has had no message for 5 s",
         "stream_back": "it has messages again, and how long it had none",
         "clock_step": "the clock of this host was set",
+        "halted": "the bridge was stopped or had no processor: what came is late by at most `late_ns`",
     },
     "ROS 2": {
         "ros_subscribed": "the gateway subscribed to a topic",

@@ -55,6 +55,9 @@ if TYPE_CHECKING:
 #: Longest delay of a ping or a timeout: time from a tick to the next one if its deadline has come and stays.
 _TICK_NS = 50 * NS_PER_MS
 
+#: Code of the note about messages whose receipt is late because nothing was read.
+HALTED = "halted"
+
 #: The same of a relay with fault injection, which delays messages.
 _FAULTY_TICK_NS = NS_PER_MS
 
@@ -178,7 +181,15 @@ class Bridge:
         self.awaited = AwaitedSources(expected, self._present_sources, self.hub.note)
         self._silences = Silences()
         tick_ns = _FAULTY_TICK_NS if config.faults else _TICK_NS
-        timer = Timer(self.hub.tick, lambda: self.gateway.due_ns, self.hub.now_ns, self._each_second, tick_ns, clock)
+        timer = Timer(
+            self.hub.tick,
+            lambda: self.gateway.due_ns,
+            self.hub.now_ns,
+            self._each_second,
+            tick_ns,
+            clock,
+            self._note_halt,
+        )
         self.gateway.deadline_set = timer.deadline_set
         self._starts_active = True
         self._runs, self._begun_ns, self._clock = False, 0, clock
@@ -224,7 +235,7 @@ class Bridge:
         self._parts.stop()
 
     def _open_ports(self) -> None:
-        """Listen and connect, without reading yet."""
+        """Take the ports, which open when they are read, and the servers."""
         options = self.options
         if self.gateway.config.relay:
             (server,) = options.connect
@@ -374,6 +385,13 @@ class Bridge:
         if self.gateway.guard.watch:
             for note in self._silences.look(self.hub.now_ns(), self.gateway.guard.items()):
                 self.hub.note(note)
+
+    def _note_halt(self, halt_ns: int) -> None:
+        """Note that the bridge did not run for a while."""
+        halt_s = halt_ns / NS_PER_S
+        late = f"what came meanwhile was received up to {halt_s:.1f} s late"
+        text = f"the bridge did not run for {halt_s:.1f} s: {late}"
+        self.hub.note(Note(Level.WARN, HALTED, text, data={"late_ns": halt_ns}))
 
     def _present_sources(self) -> PresentSources:
         """Return the sources that are there; of ROS only if there is a graph."""

@@ -123,7 +123,7 @@ def bridge_options(
         ros: join the ROS graph; a relay does not.
         node_name: name of the ROS node.
         given: settings of this call: unlike those of a file, each of them must have an effect.
-        reserved: ports that are open already.
+        reserved: ports that are taken already.
 
     Raises:
         ConfigError: settings that contradict each other, or have no effect.

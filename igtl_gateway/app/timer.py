@@ -1,6 +1,9 @@
 """The thread that acts on time: it waits until the gateway is due, and looks around once a second.
 
 It also wakes when the host's clock is set, where the system reports that (Linux), so that the step is noted at once.
+
+It is late itself when the bridge does not run: the process was stopped, or gets no processor.  Whatever comes
+meanwhile, from peers and from ROS, is read afterwards, so its receipt is late by up to that time.
 """
 
 from __future__ import annotations
@@ -16,6 +19,9 @@ from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 
 #: Between two looks.  Where the system does not report that the clock is set, each tick has to see it.
 _LOOK_NS, _BLIND_LOOK_NS = NS_PER_S, 50 * NS_PER_MS
+
+#: A thread that is so late shows that the bridge did not run; a busy machine delays a thread by less.
+HALT_NS = 500 * NS_PER_MS
 
 _NEVER = 1 << 63
 _CLOCK_REALTIME = 0
@@ -33,6 +39,7 @@ class Timer:
         each_second: called once a second, after a tick.
         least_ns: from a tick at which a deadline stays overdue to the next one.
         clock: the monotonic clock paces the looks.
+        halted: called with the time, ns, for which the bridge did not run.
     """
 
     def __init__(
@@ -43,7 +50,9 @@ class Timer:
         each_second: Callable[[], None],
         least_ns: int,
         clock: Clock,
+        halted: Callable[[int], None] = lambda _ns: None,
     ) -> None:
+        self._halted = halted
         self._tick = tick
         self._due_ns = due_ns
         self._now_ns = now_ns
@@ -82,7 +91,7 @@ class Timer:
 
     def _run(self) -> None:
         every_ns = _LOOK_NS if self._alarm.works else _BLIND_LOOK_NS
-        second_ns = self._clock.monotonic_ns()
+        second_ns = expected_ns = self._clock.monotonic_ns()
         while True:
             self._wake.clear()
             if self._stopping:
@@ -90,6 +99,8 @@ class Timer:
             self._planned_ns = _NEVER  # what is set from here on wakes, even if this tick sees it
             due_ns = self._tick()
             begun_ns = self._clock.monotonic_ns()
+            if (late_ns := begun_ns - expected_ns) >= HALT_NS:
+                self._halted(late_ns)
             if begun_ns >= second_ns:
                 second_ns = begun_ns + NS_PER_S
                 self._each_second()
@@ -98,6 +109,7 @@ class Timer:
                 self._planned_ns = min(self._planned_ns, due_ns)
                 due_in_ns = due_ns - self._now_ns()
                 left_ns = min(left_ns, due_in_ns if due_in_ns > 0 else self._least_ns)
+            expected_ns = self._clock.monotonic_ns() + max(0, left_ns)
             self._wake.wait(max(0, left_ns) / NS_PER_S)
 
 

@@ -1,4 +1,4 @@
-"""The ports of ``bridge``, found in the command line before its options are known, so that they open at once.
+"""The ports of ``bridge``, found in the command line before its options are known, so that they are taken at once.
 
 The options of a verb are known only after its modules are imported, which takes most of the time of a start.
 """

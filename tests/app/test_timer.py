@@ -120,3 +120,28 @@ def test_the_alarm_of_the_clock_is_silent_until_it_is_set() -> None:
     time.sleep(0.05)
     alarm.stop()
     assert rings == []
+
+
+def test_that_the_bridge_did_not_run_is_found_when_it_goes_on() -> None:
+    """A clock that jumps, as that of a process which was stopped for 3 s does for it."""
+    stopped_ns, late = [0], list[int]()
+
+    class Stopped(SystemClock):
+        def monotonic_ns(self) -> int:
+            return super().monotonic_ns() + stopped_ns[0]
+
+    core = Core()
+    each_second, clock = core.each_second, Stopped()
+    timer = Timer(core.tick, lambda: core.due_ns, CLOCK.utc_ns, each_second, 20 * NS_PER_MS, clock, late.append)
+    timer.start()
+    try:
+        core.wait(lambda: len(core.ticks) > 0)
+        core.wait(lambda: core.due_ns is None)
+        stopped_ns[0] += 3 * NS_PER_S
+        core.due_ns = CLOCK.utc_ns()
+        timer.deadline_set()
+        core.wait(lambda: len(core.ticks) > 2)
+    finally:
+        timer.stop()
+    assert len(late) == 1
+    assert 2 * NS_PER_S <= late[0] < 4 * NS_PER_S

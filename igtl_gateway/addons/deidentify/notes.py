@@ -24,7 +24,7 @@ from igtl_gateway.addons.deidentify.context import Context
 
 #: Codes of inputs; a note with another code becomes ``OTHER``.
 CODES = frozenset({
-    TICK, LISTENED, SETTING, CLOCK_STEP,
+    TICK, LISTENED, SETTING, CLOCK_STEP, "halted",
     *"link_up link_down peer_profile connect_failed listen_failed accept_failed refused tls_failed idle".split(),
     *"stalled unreachable rate_limited truncated too_large out_of_memory internal_error queue_drop queue_full".split(),
     *"no_conversion no_interfaces callback_failed ros_subscribed ros_incompatible_qos ros_lost ros_slow".split(),
@@ -46,7 +46,8 @@ CODES = frozenset({
 OTHER = "other"
 _ROLES = frozenset({"server", "client"})
 _NUMBERS = frozenset(
-    {PARTNER, "sent_messages", "received_bytes", "count", "step_ns", "jump_ns", "ahead_ns", "dropped_messages"}
+    {PARTNER, "sent_messages", "received_bytes", "count", "step_ns", "jump_ns", "ahead_ns", "late_ns"}
+    | {"dropped_messages"}
 )
 #: Most characters of label and maker of a mark.
 _LONGEST = 64

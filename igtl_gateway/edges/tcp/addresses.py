@@ -6,8 +6,8 @@ import socket
 from collections.abc import Callable
 from functools import partial
 
-from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.edges.reserved import ReservedPorts
+from igtl_gateway.base.errors import ConfigError, Unavailable
+from igtl_gateway.edges.reserved import ReservedPorts, open_port
 from igtl_gateway.edges.tcp.dialer import Dialer
 from igtl_gateway.edges.tcp.link_info import LinkInfo, PeerLimits
 from igtl_gateway.edges.tcp.link_parts import LinkContext
@@ -29,7 +29,7 @@ class Addresses:
         context: what the links share.
         allow: which peers may connect.
         tls: files for the connections with TLS.
-        reserved: ports that are open already.
+        reserved: ports that are taken already.
     """
 
     def __init__(
@@ -49,6 +49,7 @@ class Addresses:
         self._tls = tls
         self._reserved = reserved
         self._listeners: list[Listener] = []
+        self._closed: list[socket.socket] | None = []  # ports that open with the edge; None: it has started
         self._dialers: list[Dialer] = []
         self._relays: list[RelayConnector] = []
         self._handshakes: dict[TlsSocket, Handshake] = {}  # of clients that are not links yet
@@ -79,6 +80,13 @@ class Addresses:
             self._dialers.append(dialer)
         self._loop.call_soon(dialer.dial, dialer.failed)
 
+    def open(self) -> None:
+        """Let peers through from here on.  Raises Unavailable if another program has taken a port meanwhile."""
+        with self._registry.changed:
+            closed, self._closed = self._closed, None
+        for sock in closed or ():
+            _open(sock)
+
     def absent(self) -> list[LinkInfo]:
         """The servers that are not connected."""
         return [LinkInfo(0, dialer.target, "client", False) for dialer in self._dialers if not dialer.link]
@@ -94,6 +102,10 @@ class Addresses:
                 sock.close()
                 raise ConfigError(f"listen {address_text((host, port))}: the edge was stopped; a new one is needed")
             self._listeners.append(listener)
+            if self._closed is not None:
+                self._closed.append(sock)
+            else:
+                _open(sock)
         self._loop.call_soon(listener.open, listener.failed)
         return bound
 
@@ -157,6 +169,14 @@ class Addresses:
 
         self._handshakes[secured] = handshake = Handshake(secured, self._loop, done, refused, failed)
         handshake.begin(self._limits.handshake_s)
+
+
+def _open(sock: socket.socket) -> None:
+    try:
+        open_port(sock)
+    except OSError as exc:
+        place = address_text(sock.getsockname())
+        raise Unavailable(f"listen {place}: the port was taken by another program; stop it or choose another") from exc
 
 
 def _check_port(host: str, port: int) -> None:

@@ -59,7 +59,7 @@ class TcpEdge:
         allow: networks (CIDR) whose peers may connect beside this host's own, or ``"any"``.
         tls: files for the connections with TLS.
         passage: the native passage, whose streams the links may have; None: there is none.
-        reserved: ports that are open already; `listen` takes them.
+        reserved: ports that are taken already; `listen` has them.
         admission: when large messages of peers pass; None: at once.
         when_full: ``"drop"``: ``send`` never waits, see ``Outbox``; ``"block"``: ``send`` waits for room and
             nothing is lost while the link is up (except in callbacks, which must not wait for themselves).
@@ -118,7 +118,9 @@ class TcpEdge:
     # ── for any thread ────────────────────────────────────────────────────────────────────────────────────────
 
     def listen(self, host: str, port: int, *, tls: bool = False) -> tuple[str, int]:
-        """Accept peers at this address; port 0 chooses a free one.  Returns the address and port bound.
+        """Accept peers at this address from `start` on; port 0 chooses a free one.  Returns the address and port bound.
+
+        Before, a peer waits for its connection, or is refused (``edges.reserved``).
 
         With ``tls`` clients must use TLS, and need a certificate where there is a CA for that.
         Raises ConfigError if the address is invalid, or open to other hosts without an allow-list, and after ``stop``;
@@ -147,7 +149,8 @@ class TcpEdge:
         self._addresses.connect(host, port, tls)
 
     def start(self) -> None:
-        """Start the I/O thread; once."""
+        """Open the ports, and start the I/O thread; once.  Raises Unavailable for a port that was taken meanwhile."""
+        self._addresses.open()
         self._loop.start()
         if self._native_reader:
             self._native_reader.start()

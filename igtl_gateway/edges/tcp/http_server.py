@@ -20,6 +20,7 @@ from typing import Any
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.numbers import whole_number
+from igtl_gateway.edges.reserved import open_port
 from igtl_gateway.edges.tcp.sockets import AllowList, address_text, listening_socket
 from igtl_gateway.edges.tcp.tls import Context
 
@@ -128,6 +129,7 @@ class _Server(HTTPServer):
         tls: Context | None,
     ) -> None:
         listener = listening_socket(host, port, allow)
+        open_port(listener)
         super().__init__(listener.getsockname()[:2], handler, bind_and_activate=False)
         self.socket.close()  # the library's socket: errors of `listening_socket` name the address and the cause
         self.socket = listener

@@ -13,7 +13,7 @@ from functools import lru_cache
 from typing import Any, Protocol
 
 from igtl_gateway.base.errors import ConfigError, Unavailable
-from igtl_gateway.edges.reserved import ReservedPorts, listener
+from igtl_gateway.edges.reserved import ReservedPorts, closed_port
 
 PORT_MAX = 65535
 
@@ -121,14 +121,14 @@ def resolve(host: str, port: int, *, numeric: bool) -> list[tuple[int, Any]]:
 
 
 def listening_socket(host: str, port: int, allow: AllowList, reserved: ReservedPorts | None = None) -> socket.socket:
-    """Return a listening socket, the reserved one if there is one; see ``TcpEdge.listen``.
+    """Return the socket of a port that `open_port` opens, the reserved one if there is one; see ``TcpEdge.listen``.
 
     Raises ConfigError for an invalid address, Unavailable if the system refuses it now.
     """
     place = f"listen {address_text((host, port))}"
     family, address = check_listening(host, port, allow)
     try:
-        return (reserved and reserved.take(host, port)) or listener(family, address)
+        return (reserved and reserved.take(host, port)) or closed_port(family, address)
     except OSError as exc:
         if exc.errno == errno.EADDRINUSE:
             raise Unavailable(f"{place}: the port is in use by another program; stop it or choose another") from None

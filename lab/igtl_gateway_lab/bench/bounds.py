@@ -81,7 +81,7 @@ BOUNDS: Sequence[Bound] = (
     Bound("lost after resume", 0, ("stalled-client",), stream="transform"),
     Bound("gateway_cpu_percent", 0.5, ("idle",)),
     Bound("times_mixed_load", 8, ("recording",), least=True),
-    Bound("port_p50_s", 0.5, ("start-up",)),
+    Bound("port_p50_s", 3, ("start-up",)),
     Bound("gateway_rss_mb", 120, ("start-up", "idle")),
     Bound("cpu_ratio", 1.0, ("offline",), stream="info, *"),
     Bound("cpu_ratio", 2.0, ("offline",), stream="recover, *"),

@@ -106,9 +106,9 @@ def _knock(port: int, gateway: Program, clock: Clock) -> None:
     deadline_ns = clock.monotonic_ns() + int(_START_S * NS_PER_S)
     while True:
         try:
-            socket.create_connection(("127.0.0.1", port), timeout=_START_S).close()
+            socket.create_connection(("127.0.0.1", port), timeout=_KNOCK_S).close()
             return
-        except ConnectionRefusedError:
+        except (ConnectionRefusedError, TimeoutError):
             gateway.check()
             if clock.monotonic_ns() > deadline_ns:
                 raise BenchError(f"the gateway has not opened its port within {_START_S:g} s") from None
