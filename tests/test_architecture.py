@@ -158,6 +158,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "pyarrow": (
         "api",
         "api.arrow_tables",
+        "addons.exchange.arrow_names",
         "addons.exchange.arrow_out",
         "base.untrusted.parquet_file",
         "addons.lerobot",

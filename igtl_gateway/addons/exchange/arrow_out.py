@@ -1,7 +1,7 @@
 """Export to Parquet and to Arrow IPC files: one file per stream, with a row per message and units in the schema.
 
-Tables are those of ``arrow_tables``.  A file has the columns of all its messages: if later messages have other columns,
-the file is written again with the columns of both.
+Tables are those of ``arrow_tables``, with the columns of ``arrow_names``.  A file has the columns of all its messages:
+if later messages have other columns, the file is written again with the columns of both.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ from igtl_gateway.addon.reading import (
 from igtl_gateway.addon.streams import TableMaker, fitted, unified
 from igtl_gateway.addon.untrusted import MessageDecoder
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
+from igtl_gateway.addons.exchange.arrow_names import DatabaseColumns, Pictures, stamps_of
 from igtl_gateway.addons.exchange.chosen_rows import ChosenRows, StreamMessages
 from igtl_gateway.addons.exchange.folder import FileNames, Folder, new_folder
-from igtl_gateway.addons.exchange.selection import REPEATED, Recording
+from igtl_gateway.addons.exchange.selection import IGTL_KINDS, REPEATED, Recording
 
 #: Files that are open at the same time; a usual session has a few dozen streams.
 _MAX_FILES = 500
@@ -105,7 +106,7 @@ class _Export:
         self._decoder = MessageDecoder(lambda ros_type: recording.definitions.get(ros_type, ""))
         self._units, self._accepted = recorded_units(recording), recorded_acceptance(recording)
         self._streams: dict[tuple[Kind, str, str, str], _Stream] = {}
-        self._waiting = 0
+        self._pictures, self._waiting = Pictures(), 0
 
     def take(self, streams: Sequence[StreamMessages]) -> None:
         """Take the next messages of some streams."""
@@ -119,16 +120,20 @@ class _Export:
         for _, stream, row in sorted(places, key=lambda place: place[0]):
             self._add(stream.where(slice(row, row + 1)))
             if self._waiting >= _BYTES:
-                for each in self._streams.values():
-                    each.flush()
+                self._flush()
                 self._waiting = 0
 
     def finish(self) -> None:
         """Write what waits, and complete the account."""
-        for each in self._streams.values():
+        self._flush()
+        files = [stream.file for stream in self._streams.values()]
+        self._account.files = sum(file.is_open for file in files)
+        self._account.notes += [*self._names.notes(f".{self._form.suffix}"), *notes_of(files)]
+
+    def _flush(self) -> None:
+        for each in sorted(self._streams.values(), key=lambda stream: stream.file.order):
             each.flush()
-        self._account.files = sum(stream.file.is_open for stream in self._streams.values())
-        self._account.notes += self._names.notes(f".{self._form.suffix}")
+        self._pictures.turn()
 
     def _of_one_unit(self, stream: StreamMessages) -> list[StreamMessages]:
         """Some messages by the unit of their lengths, in the order of their first ones: links may have several."""
@@ -171,7 +176,8 @@ class _Export:
             # a column has one unit: what some peers get in another one is a file of its own
             other = any(known[:3] == key[:3] for known in streams)
             name = f"{self._names.of_stream(*key[:3])}{f'.{unit}' * other}.{self._form.suffix}"
-            file = _File(self._folder, name, self._form)
+            columns = columns_of(some.kind, some.type, recording, self._decoder)
+            file = _File(self._folder, name, self._form, columns, self._pictures, is_output=not some.kind.is_input)
             self._stack.callback(file.close)
             streams[key] = _Stream(row, maker, file)
         return streams.get(key)
@@ -214,11 +220,50 @@ class _Stream:
         return size
 
 
-class _File:
-    """A file that is being written; it exists from its first table on."""
+def columns_of(kind: Kind, type_name: str, recording: Recording, decoder: MessageDecoder) -> DatabaseColumns:
+    """Return the columns of a stream: which of its fields are stamps."""
+    if kind in IGTL_KINDS:
+        return DatabaseColumns(None)
+    is_known = bool(recording.definitions.get(type_name))
+    return DatabaseColumns(stamps_of(decoder.store(type_name).fielddefs, type_name) if is_known else frozenset())
 
-    def __init__(self, folder: Folder, name: str, form: _Parquet | _Ipc) -> None:
-        self._folder, self._name, self._form = folder, name, form
+
+def notes_of(files: Sequence[_File]) -> list[str]:
+    """Return what is written in another way than in CSV, and than version 0.1 did."""
+    if not any(each.is_open for each in files):
+        return []
+    files = sorted(files, key=lambda file: file.order)
+    dotted = min((names for each in files if (names := each.columns.example)), default=None)
+    found = ["columns time and source_time are times in UTC; CSV has time_ns and source_ns"]
+    if dotted:
+        found[0] += f"; dots are underscores: {dotted[0]} is {dotted[1]}"
+    if once := [each for each in files if each.elsewhere]:
+        other, column = min(once[0].elsewhere)
+        more = f", and {len(once) - 1} more alike" if len(once) > 1 else ""
+        found.append(f"pictures once: those of {once[0].name} are in {other}, at the entry in {column}{more}")
+    return found
+
+
+class _File:
+    """A file that is being written; it exists from its first table on.
+
+    Attributes:
+        elsewhere: files that have pictures of this one, and its columns that name them.
+    """
+
+    def __init__(
+        self,
+        folder: Folder,
+        name: str,
+        form: _Parquet | _Ipc,
+        columns: DatabaseColumns,
+        pictures: Pictures,
+        *,
+        is_output: bool,
+    ) -> None:
+        self._folder, self.name, self._form = folder, name, form
+        self.columns, self._pictures, self._is_output = columns, pictures, is_output
+        self.elsewhere: set[tuple[str, str]] = set()
         self._schema: pa.Schema | None = None
         self._stream: BinaryIO | None = None
         self._writer: _Writer | None = None
@@ -228,10 +273,18 @@ class _File:
         """Whether there is a file."""
         return self._schema is not None
 
+    @property
+    def order(self) -> tuple[bool, str]:
+        """Place among the files that are written at once: inputs are before what was made of them."""
+        return self._is_output, self.name
+
     def write(self, table: pa.Table) -> None:
+        table, elsewhere = self._pictures.once(table, self.name, is_output=self._is_output)
+        self.elsewhere |= elsewhere
+        table = self.columns.table(table)
         if self._schema is None or self._writer is None:
             self._schema = table.schema
-            self._stream = self._folder.create(self._name)
+            self._stream = self._folder.create(self.name)
             self._writer = self._form.writer(self._stream, table.schema)
         elif not table.schema.equals(self._schema):
             wider = unified(self._schema, table.schema)
@@ -250,7 +303,7 @@ class _File:
     def _write_again(self, schema: pa.Schema) -> None:
         """Write what is there to a new file with more columns, which takes the place of the old one."""
         self.close()
-        path = self._folder.path / self._name
+        path = self._folder.path / self.name
         part = path.with_suffix(".part")
         stream = self._folder.create(part.name)
         writer = self._form.writer(stream, schema)

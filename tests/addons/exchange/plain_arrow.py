@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from igtl_gateway.addon.streams import TableMaker
 from igtl_gateway.addon.untrusted import MessageDecoder
 from igtl_gateway.addons.exchange import arrow_out
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
+from igtl_gateway.addons.exchange.arrow_names import Pictures
 from igtl_gateway.addons.exchange.folder import FileNames, new_folder
 from igtl_gateway.addons.exchange.selection import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
 
@@ -22,6 +23,7 @@ def export(recording: Recording, out: Path, globs: Sequence[str], form: Any) -> 
     decoder = MessageDecoder(lambda ros_type: recording.definitions.get(ros_type, ""))
     streams: dict[tuple[Kind, str, str, str], _Stream] = {}
     units, accepted, waiting = recorded_units(recording), recorded_acceptance(recording), 0
+    pictures = Pictures()
     with new_folder(out, account) as folder, ExitStack() as stack:
         for entry in chosen_entries(recording, (*IGTL_KINDS, *ROS_KINDS), globs, account):
             row = account.row(entry)
@@ -36,23 +38,30 @@ def export(recording: Recording, out: Path, globs: Sequence[str], form: Any) -> 
                     entry.kind, entry.type, entry.channel, recording.definitions, decoder, unit, accepted
                 )
                 other = any(known[:3] == key[:3] for known in streams)
-                file = arrow_out._File(folder, f"{names.of(entry)}{f'.{unit}' * other}.{form.suffix}", form)
+                columns = arrow_out.columns_of(entry.kind, entry.type, recording, decoder)
+                name = f"{names.of(entry)}{f'.{unit}' * other}.{form.suffix}"
+                file = arrow_out._File(folder, name, form, columns, pictures, is_output=not entry.kind.is_input)
                 stack.callback(file.close)
                 stream = streams[key] = _Stream(row, maker, file)
             stream.entries.append(entry)
             waiting += entry.size
             if waiting >= arrow_out._BYTES:
-                for each in streams.values():
-                    each.flush()
+                _flush(streams.values(), pictures)
                 waiting = 0
             elif len(stream.entries) >= arrow_out._ROWS:
                 waiting -= sum(each.size for each in stream.entries)
                 stream.flush()
-        for each in streams.values():
-            each.flush()
+        _flush(streams.values(), pictures)
     account.files = sum(stream.file.is_open for stream in streams.values())
-    account.notes += names.notes(f".{form.suffix}")
+    files = [stream.file for stream in streams.values()]
+    account.notes += [*names.notes(f".{form.suffix}"), *arrow_out.notes_of(files)]
     return account
+
+
+def _flush(streams: Iterable[_Stream], pictures: Pictures) -> None:
+    for each in sorted(streams, key=lambda stream: stream.file.order):
+        each.flush()
+    pictures.turn()
 
 
 class _Stream:

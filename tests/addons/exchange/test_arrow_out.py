@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import random
+import sqlite3
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,6 +18,7 @@ from pyarrow import parquet
 
 import igtl_gateway
 from igtl_gateway.addons.exchange import arrow_out
+from igtl_gateway.addons.exchange.arrow_names import DatabaseColumns, sql_name
 from igtl_gateway.addons.exchange.targets import export_to
 from igtl_gateway.api.arrow_tables import fitted, unified
 from igtl_gateway.base.errors import GatewayError
@@ -29,6 +32,56 @@ from tests.addons.exchange import plain_arrow
 from tests.addons.exchange.test_chosen_rows import definition_of, session
 from tests.places import FIXTURES
 from tests.tables import table
+
+
+def in_csv(field: pa.Field) -> str:
+    """The name of a field in CSV."""
+    return (field.metadata or {}).get(b"field", field.name.encode()).decode()
+
+
+def plain(table: pa.Table) -> list[dict[str, Any]]:
+    """The rows of a file with the names of CSV and stamps as integers, without pictures that are elsewhere."""
+    elsewhere = {name.removesuffix("_entry") for name in table.column_names if name.endswith("_entry")}
+    return [
+        {
+            in_csv(field): _plain(field, value)
+            for field in table.schema
+            if field.name not in elsewhere and field.name.removesuffix("_entry") not in elsewhere
+            for value in [row[field.name]]
+        }
+        for row in _rows(table)
+    ]
+
+
+def _rows(table: pa.Table) -> list[dict[str, Any]]:
+    """Rows of Python, which has no times with nanoseconds."""
+    columns = [_integers(column.combine_chunks()).to_pylist() for column in table.columns]
+    return [dict(zip(table.column_names, row, strict=True)) for row in zip(*columns, strict=True)]
+
+
+def _integers(array: pa.Array) -> pa.Array:
+    return array.cast(_integer(array.type)) if not pa.types.is_map(array.type) else array
+
+
+def _integer(kind: pa.DataType) -> pa.DataType:
+    if pa.types.is_timestamp(kind):
+        assert kind == pa.timestamp("ns", tz="UTC")
+        return pa.int64()
+    if pa.types.is_list(kind):
+        return pa.list_(_integer(kind.value_type))
+    if pa.types.is_struct(kind):
+        return pa.struct([pa.field(each.name, _integer(each.type)) for each in kind])
+    return kind
+
+
+def _plain(field: pa.Field, value: Any) -> Any:
+    kind = field.type
+    if pa.types.is_list(kind) and value is not None:
+        return [_plain(kind.value_field, each) for each in value]
+    if pa.types.is_struct(kind) and value is not None:
+        return {in_csv(each): _plain(each, value[each.name]) for each in kind}
+    return value
+
 
 ONE = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
@@ -76,7 +129,7 @@ def test_every_number_is_that_of_csv(name: str, form: str, tmp_path: Path) -> No
     for path in sorted((tmp_path / "csv").glob("*.csv")):
         source = tmp_path / "tables" / f"{path.stem}.{form}"
         table = parquet.read_table(source) if form == "parquet" else pa.ipc.open_file(source).read_all()
-        found = [line for row in table.to_pylist() for line in lines(row)]
+        found = [line for row in plain(table) for line in lines(row)]
         with path.open(encoding="utf-8", newline="") as stream:
             expected = list(csv.DictReader(stream))
         by_entry: dict[tuple[str, str], dict[str, str]] = {
@@ -98,7 +151,8 @@ def test_units_are_in_the_schema_and_pandas_reads_the_files(tmp_path: Path) -> N
     path = tmp_path / "out" / "igtl_out.TRANSFORM_ToolToBase.parquet"
     schema = parquet.read_schema(path)
     assert schema.field("x_mm").metadata == {b"unit": b"mm"}
-    assert schema.field("time_ns").metadata == {b"unit": b"ns"}
+    assert schema.field("time").metadata == {b"field": b"time_ns"}
+    assert schema.field("time").type == schema.field("source_time").type == pa.timestamp("ns", tz="UTC")
     assert schema.field("r11").metadata is None
     assert {key: schema.metadata[key] for key in (b"stream", b"type", b"direction")} == {
         b"stream": b"TRANSFORM/ToolToBase",
@@ -112,8 +166,99 @@ def test_units_are_in_the_schema_and_pandas_reads_the_files(tmp_path: Path) -> N
     assert element.field("diameter_mm").metadata == {b"unit": b"mm"}
     cloud = parquet.read_table(tmp_path / "out" / "igtl_out.POLYDATA_TissueCloud.parquet")
     assert cloud.schema.field("points_mm").type == pa.list_(pa.list_(pa.float32(), 3))
-    image = parquet.read_table(tmp_path / "out" / "igtl_out.IMAGE_Camera.parquet")
-    assert {len(pixels.as_py()) for pixels in image["pixels"]} == {320 * 240 * 3}
+    assert frame["time"].dtype == "datetime64[ns, UTC]"
+
+
+def test_pictures_are_written_once(tmp_path: Path) -> None:
+    with SessionFile.open(FIXTURES / "star.mcap") as file:
+        account = export_to("parquet", file, tmp_path / "all", ())
+        alone = export_to("parquet", file, tmp_path / "alone", ("out:IMAGE/Camera",))
+    sent = parquet.read_table(tmp_path / "all" / "igtl_out.IMAGE_Camera.parquet")
+    given = parquet.read_table(tmp_path / "all" / "ros_in.star_camera_image.parquet")
+    assert sent["pixels"].null_count == len(sent)
+    by_entry = dict(zip(given["entry"].to_pylist(), given["data"].to_pylist(), strict=True))
+    found = [by_entry[entry] for entry in sent["pixels_entry"].to_pylist()]
+    own = parquet.read_table(tmp_path / "alone" / "igtl_out.IMAGE_Camera.parquet")
+    assert own["pixels"].to_pylist() == found, "the same as where its source is not exported"
+    assert {len(pixels) for pixels in found} == {320 * 240 * 3}
+    assert [note for note in account.notes if note.startswith("pictures once: those of igtl_out.IMAGE_Camera.parquet")]
+    assert not [note for note in alone.notes if note.startswith("pictures once")]
+
+
+def sql_names(kind: pa.DataType, place: str) -> Iterator[str]:
+    """The expressions of SQL for what is inside of a column."""
+    if pa.types.is_list(kind):
+        yield from sql_names(kind.value_type, f"{place}[1]")
+    elif pa.types.is_struct(kind):
+        for each in kind:
+            yield f"{place}.{each.name}"
+            yield from sql_names(each.type, f"{place}.{each.name}")
+
+
+@pytest.fixture(scope="module")
+def every_type(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The tables of every type."""
+    out = tmp_path_factory.mktemp("tables") / "out"
+    with SessionFile.open(FIXTURES / "every-type.mcap") as file:
+        export_to("parquet", file, out, ())
+    return out
+
+
+def test_sql_takes_each_column_without_quotes(every_type: Path) -> None:
+    duckdb = pytest.importorskip("duckdb", reason="needs DuckDB")
+    seen: set[str] = set()
+    connection = duckdb.connect()
+    for path in sorted(every_type.iterdir()):
+        schema = parquet.read_schema(path)
+        names = [each for field in schema for each in (field.name, *sql_names(field.type, f"t.{field.name}"))]
+        if set(names) <= seen:
+            continue
+        seen.update(names)
+        found = connection.sql(f"SELECT {', '.join(names)} FROM '{path}' t ORDER BY time LIMIT 1")
+        assert len(found.to_arrow_table().columns) == len(names)
+        assert len({name.lower() for name in schema.names}) == len(schema.names)
+        with closing(sqlite3.connect(":memory:")) as other:
+            other.execute(f"CREATE TABLE t ({', '.join(schema.names)})")
+            other.execute(f"SELECT {', '.join(schema.names)} FROM t")
+    assert len(seen) > 150
+    path = every_type / "igtl_in.TRANSFORM_MarkerToCamera.parquet"
+    (zone,) = connection.execute(f"SELECT DISTINCT typeof(time) FROM '{path}'").fetchone()
+    assert zone.startswith("TIMESTAMP"), zone
+    where = "time > '2000-01-01' AND epoch_ns(time) >= epoch_ns(source_time)"
+    taken = connection.execute(f"SELECT count(*) FROM '{path}' WHERE {where}").fetchone()
+    assert taken[0] == parquet.read_metadata(path).num_rows
+
+
+@table(
+    ("name", "expected"),
+    [
+        ("x_mm", "x_mm"),
+        ("transform.translation.x_m", "transform_translation_x_m"),
+        ("position.0", "position_0"),
+        ("0", "n0"),
+        ("end", "end_"),
+        ("Values", "Values_"),
+        ("äö", "field"),
+        ("a-b c", "a_b_c"),
+    ],
+)
+def test_a_name_for_sql(name: str, expected: str) -> None:
+    assert sql_name(name) == expected
+
+
+def test_two_names_stay_two() -> None:
+    found = DatabaseColumns(frozenset()).table(
+        pa.table({"a.b": [1], "a_b": [2], "A-B": [3], "time": [4], "time_ns": [5]})
+    )
+    assert found.column_names == ["a_b", "a_b_2", "A_B_3", "time", "time_2"]
+    assert [column[0].as_py() for column in found.columns[:4]] == [1, 2, 3, 4]
+
+
+def test_stamps_are_times_and_durations_are_numbers(every_type: Path) -> None:
+    found = {(field.name, str(field.type)) for path in every_type.iterdir() for field in parquet.read_schema(path)}
+    assert ("header_stamp", "timestamp[ns, tz=UTC]") in found
+    assert ("lifetime_ns", "int64") in found
+    assert not [name for name, _ in found if name.endswith("stamp_ns")]
 
 
 def recorded(path: Path, contents: list[Transform]) -> SessionFile:
