@@ -278,6 +278,7 @@ def record_options(values: Mapping[str, Any]) -> RecordOptions:
             )
     return RecordOptions(
         compression=values["compression"],
+        outputs=values["outputs"],
         flush_s=values["flush_interval"],
         fsync=values["fsync"],
         split_bytes=values["split_size"] << 20,

@@ -22,9 +22,9 @@ _LIBRARIES = {
     "nibabel": ("nibabel",),
     "laboratory": ("igtl-gateway-lab",),
 }
-#: Equal to ``sessionfile.layout.FORMAT_VERSION`` and ``wire.header.HEADER_VERSIONS``, as a test ensures: the import of
+#: Equal to ``sessionfile.layout.PRESENT_VERSIONS`` and ``wire.header.HEADER_VERSIONS``, as a test ensures: importing
 #: these modules takes longer than everything else here.
-FORMAT_VERSION, HEADER_VERSIONS = 1, "1 and 2"
+FORMAT_VERSIONS, HEADER_VERSIONS = "1 and 2", "1 and 2"
 _C_PART = "igtl_gateway.native._express"
 
 
@@ -38,7 +38,7 @@ class VersionAction(argparse.Action):
         import platform  # here: no other option needs it
 
         rows = {
-            "session log": f"file format version {FORMAT_VERSION}",
+            "session log": f"file format versions {FORMAT_VERSIONS}",
             "OpenIGTLink": f"header versions {HEADER_VERSIONS}",
             "C part": "present" if find_spec(_C_PART) else "not present, Python is used instead",
             "Python": f"{platform.python_version()} on {platform.system()} {platform.machine()}",

@@ -528,6 +528,14 @@ _RECORDING = (
         needs=("record",),
     ),
     Setting(
+        "outputs",
+        "full",
+        "large outputs in the recording: all bytes, which other programs read; the digest, from which igtl-gateway "
+        "computes them; or none",
+        choices=("full", "digest", "none"),
+        needs=("record",),
+    ),
+    Setting(
         "flush_interval",
         0.5,
         "interval between flushes: what a kill of bridge and recorder can lose; a crash of the bridge loses nothing",

@@ -13,6 +13,7 @@ from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.seal.keys import SigningKey
 from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.large_outputs import LargeOutputs
 from igtl_gateway.record.sessionfile.schemas import RosTypes
 from igtl_gateway.record.sessionfile.sealing import SealSeries
 from igtl_gateway.record.sessionfile.writer import QosOf, SessionWriter
@@ -30,6 +31,7 @@ class NewFiles:
     Attributes:
         session: the metadata, with the selection and the user's own.
         types: definitions of ROS messages.
+        outputs: how the files have large outputs.
         all: absolute paths of the files that were begun.
 
     Raises RecordingError for a key that cannot be used.
@@ -40,6 +42,7 @@ class NewFiles:
         if options.custom:
             self.session[layout.CUSTOM_KEY] = json.dumps(dict(options.custom), sort_keys=True)
         self.types = RosTypes()
+        self.outputs = LargeOutputs(options.outputs)
         self.all: set[Path] = set()
         self._options = options
         self._qos_of = qos_of
@@ -64,6 +67,7 @@ class NewFiles:
             types=self.types,
             sealer=self._seals.next_file(path, alone=alone) if self._seals else None,
             counted=True,
+            outputs=self.outputs,
         )
         self._begun.append(str(path))
         self.all.add(path.absolute())

@@ -15,6 +15,7 @@ from igtl_gateway.record.sessionfile.layout import CHUNK_BYTES
 
 if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile.compression import Compression
+    from igtl_gateway.record.sessionfile.large_outputs import Outputs
     from igtl_gateway.record.sessionfile.writer import Fsync
 
 #: Bounds of the queue: a second of Full HD video at 40 Hz, and ten seconds of small messages at 20 kHz.
@@ -44,6 +45,7 @@ class RecordOptions:
         compression: of the chunks; lz4 is for speed: large chunks of streams that do not shrink stay uncompressed;
             zstd is for size: it compresses all.
         chunk_bytes: size of a chunk before compression.
+        outputs: how large outputs are written: all bytes, the digest, or nothing.
         flush_s: interval between flushes: what SIGKILL of the recorder loses beside what waits in the queue.
         fsync: when written data are forced to the disk.
         split_bytes, split_s: a part ends when it has this size or duration; 0: never.
@@ -65,6 +67,7 @@ class RecordOptions:
 
     compression: Compression = "lz4"
     chunk_bytes: int = CHUNK_BYTES
+    outputs: Outputs = "full"
     flush_s: float = FLUSH_S
     fsync: Fsync = "never"
     split_bytes: int = 0

@@ -57,7 +57,7 @@ from igtl_gateway.record.selection import SelectionFilter, StateInputRule
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.layout import LayoutError
 from igtl_gateway.record.sessionfile.new_file import files_with_mode
-from igtl_gateway.record.shared_queue import QueueReader
+from igtl_gateway.record.shared_queue import LARGE_BYTES, QueueReader
 from igtl_gateway.record.sole_file import SoleFile
 from igtl_gateway.record.space import SpaceWatch, free_bytes
 
@@ -194,7 +194,7 @@ class _RecorderWorker:
         return WorkerState(
             output.writer.entries,
             dict(self._account.dropped + self._queue.lost),
-            dict(self._gate.left_out),
+            dict(self._gate.left_out + self.files.outputs.left_out),
             self._failures.present,
             self._gate.paused,
             output.present,
@@ -340,6 +340,8 @@ class _RecorderWorker:
 
     def _write(self, entry: Entry) -> None:
         writer, written = self._output.writer, False
+        if entry.size >= LARGE_BYTES:
+            self._observe_losses()
         try:
             if not self._failures.present or self._rests or isinstance(writer, Ring):
                 self._put(entry)
@@ -356,6 +358,12 @@ class _RecorderWorker:
         if writer.undefined and entry.type in writer.undefined and self._account.is_first_undefined(entry.type):
             text = f"no definition of {entry.type} found: {entry.channel} is recorded, but other tools cannot decode it"
             self._note(Note(Level.WARN, UNDEFINED, text, entry.channel))
+
+    def _observe_losses(self) -> None:
+        """Large outputs are written in full where it is not certain that the recording has what they follow from."""
+        outputs, queue = self.files.outputs, self._queue
+        outputs.lacks_inputs = outputs.lacks_inputs or queue.refused > 0 or bool(queue.lost)
+        outputs.lacks_parts = outputs.lacks_parts or bool(self._gate.left_out)
 
     def _put(self, entry: Entry) -> None:
         if self._rests:

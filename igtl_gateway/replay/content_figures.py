@@ -44,7 +44,7 @@ def summary_of(file: SessionFile, begin_ns: int = 0, *, full: bool = False) -> t
 
 
 def _stated(file: SessionFile, begin_ns: int) -> ContentSummary | None:
-    if file.foreign or file.format_version != layout.FORMAT_VERSION or begin_ns:
+    if file.foreign or file.format_version not in layout.PRESENT_VERSIONS or begin_ns:
         return None
     items = file.figures()
     if items is None:

@@ -18,7 +18,7 @@ from igtl_gateway.cli.options import HelpFormatter
 from igtl_gateway.cli.ros_arguments import without_ros_arguments
 from igtl_gateway.cli.terminal import Parser
 from igtl_gateway.cli.verbs import available
-from igtl_gateway.record.sessionfile.layout import FORMAT_VERSION
+from igtl_gateway.record.sessionfile.layout import PRESENT_VERSIONS
 from igtl_gateway.wire.header import HEADER_VERSIONS
 from tests.places import FIXTURES
 from tests.tables import table
@@ -111,7 +111,7 @@ def test_version_names_formats_and_libraries(capsys: pytest.CaptureFixture[str])
     assert first == f"igtl-gateway {__version__}"
     names = {re.split(r"  +", row.strip())[0] for row in rows}
     assert {"session log", "OpenIGTLink", "Python", "C part", "numpy", "mcap", "rclpy", "laboratory"} <= names
-    assert versions.FORMAT_VERSION == FORMAT_VERSION
+    assert " and ".join(map(str, PRESENT_VERSIONS)) == versions.FORMAT_VERSIONS
     assert versions.HEADER_VERSIONS == " and ".join(map(str, HEADER_VERSIONS))
 
 

@@ -13,13 +13,14 @@ from collections import OrderedDict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.errors import UnsupportedRecording
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.chunk_columns import Columns
 from igtl_gateway.record.sessionfile.chunks import packed_chunk
 from igtl_gateway.record.sessionfile.contents import ChunkEntry, Index, check_work, work_of
 from igtl_gateway.record.sessionfile.records import (
@@ -30,6 +31,9 @@ from igtl_gateway.record.sessionfile.records import (
     MESSAGE_RECORD,
     Malformed,
 )
+
+if TYPE_CHECKING:
+    from igtl_gateway.record.sessionfile.derived import DerivedOutputs
 
 Numbers = npt.NDArray[np.int64]
 Bytes = npt.NDArray[np.uint8]
@@ -113,6 +117,8 @@ class ChunkReader:
 
     def __init__(self, stream: IO[bytes], index: Index, path: str) -> None:
         self._stream, self._index, self._path = stream, index, path
+        #: Of a file with digests: what computes the outputs.
+        self.derived: DerivedOutputs | None = None
         self._kept: OrderedDict[int, bytes] = OrderedDict()
         self._size = 0
         chunks = index.chunks
@@ -147,7 +153,7 @@ class ChunkReader:
         places = [self._places(chunk, wanted)[1] for chunk in chunks]
         count = 0
         for chunk, offsets in zip(chunks, places, strict=True):
-            block = self._block(chunk, offsets, wanted)
+            block = self._block(chunk, offsets, wanted, start_ns, end_ns)
             count += len(block)
             inside = (block.times >= start_ns) & (block.times < end_ns)
             if not inside.all():
@@ -219,7 +225,7 @@ class ChunkReader:
             self._size -= len(self._kept.popitem(last=False)[1])
         return data
 
-    def _block(self, chunk: ChunkEntry, places: Numbers, wanted: set[int]) -> MessageBlock:
+    def _block(self, chunk: ChunkEntry, places: Numbers, wanted: set[int], start_ns: int, end_ns: int) -> MessageBlock:
         """The messages at some places in a chunk, in order of time."""
         data = np.frombuffer(self._unpacked(chunk), np.uint8)
         places = np.sort(places)
@@ -239,9 +245,24 @@ class ChunkReader:
         source = np.where(publish == times, 0, publish)
         numbers = records["sequence"].astype(np.int64)
         block = MessageBlock(data, places + head, ends, numbers, times, source)
+        if self.derived and not wanted.isdisjoint(self.derived.numbers):
+            block = self._derived_block(self.derived, block, records, start_ns, end_ns)
         if (times[1:] < times[:-1]).any():
             block = block.where(np.argsort(times, kind="stable"))
         return block
+
+    @staticmethod
+    def _derived_block(
+        derived: DerivedOutputs, block: MessageBlock, records: npt.NDArray[Any], start_ns: int, end_ns: int
+    ) -> MessageBlock:
+        """A block of messages, some of which are digests, with the outputs in their place."""
+        # the columns have no inputs, so the cause of each is looked up
+        columns = Columns(
+            records["channel"], records["sequence"], records["log_ns"], records["publish_ns"], block.begins, block.ends
+        )
+        inside = (block.times >= start_ns) & (block.times < end_ns)
+        data, found = derived.columns(block.data.tobytes(), columns, inside)
+        return replace(block, data=np.frombuffer(data, np.uint8), begins=found.begins, ends=found.ends)
 
 
 def check_time(found: int, what: str) -> None:

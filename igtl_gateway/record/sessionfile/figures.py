@@ -21,6 +21,7 @@ from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.timing import StampTiming
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.entry_counts import MARK, NOTES, UNKNOWN, CountsOfEntries, new_counts
+from igtl_gateway.record.sessionfile.large_outputs import DIGEST_BYTES
 from igtl_gateway.record.sessionfile.layout import LayoutError
 from igtl_gateway.record.sessionfile.messages import unpack_note
 from igtl_gateway.record.sessionfile.records import HEAD, MESSAGE_HEAD, MESSAGE_RECORD
@@ -48,6 +49,7 @@ class Figures:
         self._counts: CountsOfEntries = new_counts()
         self._streams: dict[tuple[Kind, str, str], int] = {}
         self._names: dict[str, int] = {}
+        self._bytes: Counter[tuple[Kind, str, str]] = Counter()  # that digests stand for, without their own
 
     def begin_file(self) -> None:
         """What follows is of the next file."""
@@ -64,6 +66,11 @@ class Figures:
             name = self._names.setdefault(channel, len(self._names))
             stream = self._streams[key] = self._counts.add_stream(name, kind.is_input, kind in layout.WIRE_TOPICS)
         self._counts.set_channel(number, stream)
+
+    def add_bytes(self, kind: Kind, channel: str, type_name: str, size: int, digest: bytes) -> None:
+        """A message has the digest of a payload of ``size`` bytes in its place; it is counted with its own bytes."""
+        counted = DIGEST_BYTES if kind in layout.WIRE_TOPICS else len(digest)
+        self._bytes[kind, channel, type_name] += size - counted
 
     def give_up(self) -> None:
         """Something cannot be counted by its channel: there are no figures."""
@@ -93,8 +100,8 @@ class Figures:
             return ""
         rows = self._counts.streams()
         streams = [
-            [kind.value, channel, type_name, *rows[number]]
-            for (kind, channel, type_name), number in self._streams.items()
+            [stream[0].value, *stream[1:], rows[number][0], rows[number][1] + self._bytes[stream], *rows[number][2:]]
+            for stream, number in self._streams.items()
             if number != UNKNOWN and rows[number][0]
         ]
         names = list(self._names)

@@ -24,8 +24,12 @@ from igtl_gateway.convert.names import topic_token
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.record.sessionfile.records import crc32
 
-#: Version of ``docs/reference/session-log.md``; a reader refuses a file with a newer one.
+#: Version of ``docs/reference/session-log.md`` of a file with all bytes of its messages.
 FORMAT_VERSION = 1
+#: That of a file which may have the digest of an output in its place; its entries are those of the version before.
+DIGEST_VERSION = 2
+#: Versions whose entries need no step; a reader refuses a file with a newer one.
+PRESENT_VERSIONS = (FORMAT_VERSION, DIGEST_VERSION)
 
 #: Uncompressed size of a chunk: a reader has to hold it, and unpacks it for one message.
 CHUNK_BYTES = 1 << 20
@@ -83,6 +87,12 @@ TYPE_HASH_KEY = "topic_type_hash"
 KIND_KEY = "igtl_gateway.kind"
 #: ``TYPE/device name`` of an OpenIGTLink channel, escaped; absent on the channel that many streams share.
 STREAM_KEY = "igtl_gateway.stream"
+
+#: On a channel with digests: the name of the digest; topic, type and type hash of the outputs that they stand for.
+DIGEST_KEY, DIGEST_TOPIC_KEY = "igtl_gateway.digest", "igtl_gateway.digest_topic"
+DIGEST_TYPE_KEY, DIGEST_HASH_KEY = "igtl_gateway.digest_type", "igtl_gateway.digest_type_hash"
+#: The beginning of the topics of these channels.
+DIGEST_TOPIC = "/igtl_gateway/digest"
 
 WIRE_TOPICS = {Kind.IGTL_IN: "/igtl_gateway/wire/in", Kind.IGTL_OUT: "/igtl_gateway/wire/out"}
 NOTES_TOPIC = "/igtl_gateway/notes"

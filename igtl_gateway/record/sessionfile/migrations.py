@@ -2,7 +2,7 @@
 
 A reader returns entries and session metadata in the form of the current version.  The step of an older version
 converts them to the next one; steps are applied one after the other, so each knows two versions only.  To change the
-format: raise ``layout.FORMAT_VERSION``, add the step from the version before, keep a file of that version as a test
+entries: raise ``layout.FORMAT_VERSION``, add the step from the version before, keep a file of that version as a test
 (``tests/record/sessionfile/old``) and add a line to the table of versions in the document.
 """
 
@@ -47,9 +47,9 @@ def read_session(path: Path, items: dict[str, str] | None) -> tuple[int, dict[st
         return layout.FORMAT_VERSION, {}
     text = items.get(layout.FORMAT_VERSION_KEY, "")
     digits(text, f"{path}: format version")
-    if int(text) > layout.FORMAT_VERSION:
+    if int(text) > max(layout.PRESENT_VERSIONS):
         raise UnsupportedRecording(
-            f"{path}: found format version {text}, expected at most {layout.FORMAT_VERSION}; "
+            f"{path}: found format version {text}, expected at most {max(layout.PRESENT_VERSIONS)}; "
             "read it with a newer igtl-gateway"
         )
     facts.check_session(items, str(path))
@@ -79,6 +79,8 @@ def entries(
 
 def _path(version: int, to: int, steps: Mapping[int, Step]) -> list[Step]:
     """The steps between two versions, in order."""
+    if to == layout.FORMAT_VERSION and version in layout.PRESENT_VERSIONS:
+        return []
     missing = [number for number in range(version, to) if number not in steps]
     if missing or version > to:
         raise UnsupportedRecording(f"found format version {version}, expected {min(steps, default=to)} to {to}")

@@ -19,6 +19,7 @@ from tempfile import TemporaryFile
 from types import TracebackType
 from typing import IO
 
+import numpy as np
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
@@ -42,6 +43,7 @@ from igtl_gateway.record.sessionfile.chunk_columns import Columns, Row, channels
 from igtl_gateway.record.sessionfile.columns import END_NS, ColumnsReader, EntryColumns, Stream, Unfit, mask_of
 from igtl_gateway.record.sessionfile.contents import ChunkEntry
 from igtl_gateway.record.sessionfile.definition import Definition, FileDefinitions, another_definition
+from igtl_gateway.record.sessionfile.derived import DerivedOutputs, is_digested, output_channel
 from igtl_gateway.record.sessionfile.index import read_index, read_record, recover_hint
 from igtl_gateway.record.sessionfile.index_check import damaged_indexes
 from igtl_gateway.record.sessionfile.layout import LayoutError
@@ -97,12 +99,17 @@ class SessionFile:
     def __init__(self, path: Path, stream: IO[bytes]) -> None:
         self.path = path
         self._stream = stream
-        self._index = index = read_index(path, stream)
+        self._stored_index = self._index = index = read_index(path, stream)
         self.size = index.size
         session = self._metadata(layout.SESSION_METADATA)
         ledger = self._metadata(layout.LEDGER_METADATA)
         self.recorded_session, self.recorded_ledger = session or {}, ledger or {}
         self.format_version, self.session = migrations.read_session(path, session)
+        digested = [channel for channel in index.channels.values() if is_digested(channel)]
+        if digested:  # whoever reads them gets the outputs
+            schemas = dict(index.schemas)
+            outputs = {channel.id: output_channel(channel, schemas) for channel in digested}
+            self._index = index = replace(index, schemas=schemas, channels=index.channels | outputs)
         merge = self._metadata(MERGE_METADATA)
         self.merge: Merge | None = None if merge is None else parse_merge(merge, str(path))
         self.ledger = None if ledger is None else facts.ledger(ledger.get(layout.LEDGER_KEY, ""), str(path))
@@ -118,6 +125,12 @@ class SessionFile:
         by_count = sorted(index.channels.values(), key=lambda channel: not index.counts.get(channel.id, 0))
         self._undecodable = {channel.id for channel in by_count if not self._takes_definition(channel)}
         found = [self._open_channel(channel) for channel in index.channels.values()]
+        kinds = {channel.id: self._streams[channel.id][0] for channel in digested if channel.id in self._streams}
+        self._derived: DerivedOutputs | None = None
+        if kinds and not self.foreign:
+            self._derived = self._chunks.derived = DerivedOutputs(
+                str(path), stream, index, kinds, self._streams, self._decoders, self.session, self.prologue
+            )
         self.channels = joined(channel for channel in found if isinstance(channel, ChannelSummary))
         self.skipped = tuple(channel for channel in found if isinstance(channel, SkippedChannel))
         self.definitions = self._definitions.texts()
@@ -175,7 +188,7 @@ class SessionFile:
 
         Other outputs may be there or not.  Chunks that hold none of the kinds are not unpacked.  Raises as `entries`.
         """
-        if self.foreign or self.format_version != layout.FORMAT_VERSION:
+        if self.foreign or self.format_version not in layout.PRESENT_VERSIONS:
             yield from self.entries()
             return
         count = yield from self._numbered(self._rows(kinds=kinds), 0, kinds)
@@ -201,7 +214,7 @@ class SessionFile:
         Args:
             seq: number of an earlier entry, from which the 32 bits that the file has of each number are extended.
         """
-        if self.foreign or self.format_version != layout.FORMAT_VERSION:
+        if self.foreign or self.format_version not in layout.PRESENT_VERSIONS:
             return (entry for entry in self.entries() if entry.stamp_ns >= start_ns)
         return self._numbered(self._rows(start_ns), seq)
 
@@ -213,7 +226,7 @@ class SessionFile:
         is_wire = channel.kind in layout.WIRE_TOPICS
         whole = start_ns <= self.start_ns and end_ns > self.end_ns
         numbers = self._numbers_of(channel)
-        if self.format_version == layout.FORMAT_VERSION and channel.kind not in layout.NOTE_KINDS:
+        if self.format_version in layout.PRESENT_VERSIONS and channel.kind not in layout.NOTE_KINDS:
             try:
                 with self._damage_in(f"entries of {channel.stream or channel.topic}"):
                     blocks = self._chunks.blocks(numbers, start_ns, end_ns, whole=whole, is_wire=is_wire)
@@ -241,7 +254,7 @@ class SessionFile:
         Chunks outside of the times are not read, and those that hold none of the streams are not unpacked.  Raises
         `Unfit` at the call where only `entries` can read the file; then as `entries`, but payloads are not looked into.
         """
-        if self.format_version != layout.FORMAT_VERSION:
+        if self.format_version not in layout.PRESENT_VERSIONS:
             raise Unfit
         return self._columns(start_ns, end_ns, wanted)
 
@@ -262,6 +275,10 @@ class SessionFile:
         with self._damage_in("entries"):
             found = message_columns(self._stream, self._index, str(self.path), first_ns, last_ns, is_wanted)
             for chunk, data, columns, whole in found:
+                if self._derived:
+                    inside = mask_of(columns.channels, chosen)
+                    inside &= (columns.times >= start_ns) & (columns.times < end_ns)
+                    data, columns = self._derived.columns(data, columns, inside)  # noqa: PLW2901
                 some, fault = reader.columns(chunk, data, columns, whole=whole)
                 inside = mask_of(some.channels, chosen)
                 inside &= (some.times >= start_ns) & (some.times < end_ns)
@@ -279,7 +296,7 @@ class SessionFile:
 
         No chunk is unpacked, so this is only what the file claims.  Raises Unfit where it has no usable index.
         """
-        if self.format_version != layout.FORMAT_VERSION or self.foreign:
+        if self.format_version not in layout.PRESENT_VERSIONS or self.foreign:
             raise Unfit
         streams = self._stated_streams()
         with self._damage_in("index"):
@@ -342,6 +359,9 @@ class SessionFile:
         }
         with self._damage_in("entries"):
             for _, data, columns, _ in message_columns(self._stream, self._index, str(self.path)):
+                if self._derived:
+                    every = np.ones(len(columns.times), np.bool_)
+                    data, columns = self._derived.columns(data, columns, every)  # noqa: PLW2901
                 unknown = set(channels_of(columns)) - self._known
                 if unknown:
                     raise Malformed(f"found a message of channel {min(unknown)}, of which there is no record")
@@ -396,11 +416,12 @@ class SessionFile:
     @property
     def most_bytes(self) -> int:
         """More bytes than all messages have together."""
-        return sum(chunk.size for chunk in self._index.chunks)
+        # what digests stand for shows only when it is computed
+        return _END_NS if self._derived else sum(chunk.size for chunk in self._index.chunks)
 
     def damaged_indexes(self) -> int:
         """Chunks around which something is damaged: no entry is lost, but other programs may miss messages."""
-        return damaged_indexes(self._stream, self._index)
+        return damaged_indexes(self._stream, self._stored_index)
 
     def extract(self, name: str, out: IO[bytes]) -> None:
         """Write a part of a merged session as a session file of its own.
@@ -517,14 +538,18 @@ class SessionFile:
         shared = any(
             channel.count and not channel.stream and channel.kind in layout.WIRE_TOPICS for channel in self.channels
         )
-        if shared or self.format_version != layout.FORMAT_VERSION:
+        if shared or self.format_version not in layout.PRESENT_VERSIONS:
             return unusable
         found = look_up(self._stream, self._index, start_ns, self._streams, rule, counted=self.foreign)
         if found is None:
             return unusable
         state: list[Entry] = []
         seq = 0
-        for row, before in found.rows:
+        looked_up = found.rows
+        if self._derived:
+            rows = self._derived.rows([row for row, _ in looked_up], self._derived.numbers)
+            looked_up = [(row, before) for row, (_, before) in zip(rows, looked_up, strict=True)]
+        for row, before in looked_up:
             seq = before + 1 if self.foreign else next_seq(seq, row[1])
             try:
                 entry = self._decoders[row[0]](row, seq)
@@ -605,7 +630,7 @@ class SessionFile:
                     unknown = {row[0] for row in rows} - self._known
                     if unknown:
                         raise Malformed(f"found a message of channel {min(unknown)}, of which there is no record")
-                    yield rows
+                    yield self._derived.rows(rows, wanted) if self._derived else rows
                 elif chunk and not inputs.isdisjoint(chunk.channels):
                     yield None
 
@@ -726,7 +751,7 @@ class SessionParts(SessionFile):
         self, start_ns: int = 0, end_ns: int = END_NS, wanted: Callable[[Stream], bool] = lambda _: True
     ) -> Iterator[EntryColumns]:
         """As SessionFile.columns; parts outside of the times are not opened."""
-        if self.format_version != layout.FORMAT_VERSION:
+        if self.format_version not in layout.PRESENT_VERSIONS:
             raise Unfit
         return self._columns(start_ns, end_ns, wanted)
 

@@ -19,6 +19,7 @@ from typing import Any, Literal
 
 from mcap.records import Attachment, Metadata
 
+from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import FileTaken, RecordingError
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.systems.files import sync_folder
@@ -29,6 +30,7 @@ from igtl_gateway.record.sessionfile.chunk_rows import MessageRows, RowStream
 from igtl_gateway.record.sessionfile.compression import Compression
 from igtl_gateway.record.sessionfile.definition import Definition
 from igtl_gateway.record.sessionfile.figures import Figures
+from igtl_gateway.record.sessionfile.large_outputs import DIGEST_NAME, LARGE_BYTES, Causes, LargeOutputs, pack_digest
 from igtl_gateway.record.sessionfile.layout import CHUNK_BYTES, LayoutError
 from igtl_gateway.record.sessionfile.messages import RawPacker, device_name, pack_message
 from igtl_gateway.record.sessionfile.new_file import cannot_begin, create_file, os_error_text
@@ -74,6 +76,7 @@ class SessionWriter:
         memory: write into this instead of a file.
         sealer: seals the file at each flush and at its end.
         counted: write the figures of the entries at the end of the file.
+        outputs: how large outputs are written; None: in full.
 
     Raises RecordingError when the file cannot be created, DiskRefused where the disk is the reason.  From the
     constructor on the file can be read by scanning, and after :meth:`close` by its index.
@@ -95,6 +98,7 @@ class SessionWriter:
         memory: BytesIO | None = None,
         sealer: Sealer | None = None,
         counted: bool = False,
+        outputs: LargeOutputs | None = None,
     ) -> None:
         self.path = path
         #: Entries written so far, and those that a failure leaves: as of the last flush, none of a file taken away.
@@ -110,6 +114,7 @@ class SessionWriter:
         self._types = types or RosTypes()
         self._topics = layout.WireTopics()
         self._channels: dict[tuple[Kind, str, str], int] = {}  # by kind, channel and type of the entries
+        self._digests: dict[tuple[Kind, str, str], int] = {}  # likewise, of those whose digest is written
         # channel and packer by kind, channel, type and links of the entries
         self._known: dict[tuple[Kind, str, str, tuple[int, ...]], tuple[int, RawPacker | None]] = {}
         self._schemas: dict[str, int] = {}
@@ -118,6 +123,9 @@ class SessionWriter:
         self._failure = ""
         self._fsync = fsync
         before = packed_session(prologue, qos_of, definition_of, self._types)
+        self._outputs = outputs if outputs and outputs.mode != "full" else None
+        self._causes = Causes(self._outputs, midway=bool(before)) if self._outputs else None
+        self._left_out = 0  # large outputs that are not to be here
         with replaced(path) if overwrite and os.path.lexists(path) else nullcontext(path) as place:
             self._file = memory or create_file(place)
             self._mcap = McapStream(self._file, chunk_bytes=chunk_bytes, compression=compression, sealer=sealer)
@@ -134,7 +142,9 @@ class SessionWriter:
                 raise cannot_begin(path, error) from error
 
     def _start(self, session: dict[str, str], prologue: bytes) -> None:
-        facts = {**session, layout.FORMAT_VERSION_KEY: str(layout.FORMAT_VERSION)}
+        has_digests = self._outputs is not None and self._outputs.mode == "digest"
+        version = layout.DIGEST_VERSION if has_digests else layout.FORMAT_VERSION
+        facts = {**session, layout.FORMAT_VERSION_KEY: str(version)}
         self._mcap.start(layout.MCAP_PROFILE, f"igtl-gateway {__version__}")
         for name in layout.SESSION_RECORDS:
             self._mcap.add_metadata(name, layout.seal(facts))
@@ -175,6 +185,8 @@ class SessionWriter:
             found = f"number {seq}, stamp {stamp_ns} ns, source stamp {source_ns} ns"
             raise LayoutError(f"entry of {entry.channel or entry.kind.value}: found {found}, expected unsigned 64 bits")
         kind = entry.kind
+        if self._causes is not None and not self._is_full(self._causes, entry):
+            return
         known = self._known.get((kind, entry.channel, entry.type, entry.links))
         packer = known[1] if known else RawPacker(entry) if kind in layout.WIRE_TOPICS else None
         head, data = b"", _data(entry)
@@ -183,15 +195,40 @@ class SessionWriter:
         elif not known or kind in layout.NOTE_KINDS:  # of the other known streams, the payload is the message
             data = pack_message(entry)
         channel = known[0] if known else self._learn_channel(entry, packer)
+        self._add(entry, channel, head, data)
+
+    def _add(self, entry: Entry, channel: int, head: bytes, data: Buffer) -> None:
+        """Add the message of an entry, in two pieces.  Raises RecordingError."""
+        stamp_ns = entry.stamp_ns
         if self._failure or self._closed:
             self._check_open()
         try:
-            self._mcap.add_message(channel, stamp_ns, head, data, source_ns or stamp_ns, seq & 0xFFFFFFFF)
+            self._mcap.add_message(channel, stamp_ns, head, data, entry.source_ns or stamp_ns, entry.seq & 0xFFFFFFFF)
         except OSError as error:
             raise self._failed(error) from error
         self.start_ns = self.start_ns or stamp_ns
         self.end_ns = stamp_ns
         self.entries += 1
+
+    def _is_full(self, causes: Causes, entry: Entry) -> bool:
+        """Whether an entry is to be written in full; else this has written its digest or counted it, or raises."""
+        assert self._outputs
+        place = self.entries + self._left_out
+        if entry.kind.is_input:
+            causes.input(entry, place)
+            return True
+        if entry.size < LARGE_BYTES or entry.kind in layout.NOTE_KINDS or not causes.follows(entry, place):
+            return True
+        if self._outputs.mode == "none":
+            self._outputs.left_out[entry.channel] += 1
+            self._left_out += 1
+            return False
+        data = _data(entry)
+        message = pack_digest(entry, data)
+        self._add(entry, self._digest_channel(entry), b"", message)
+        for counts in self._figures.values():
+            counts.add_bytes(entry.kind, entry.channel, entry.type, len(data), message)
+        return False
 
     def takes_rows(self, largest: int) -> bool:
         """Whether :meth:`add_rows` takes entries whose payload is below this size."""
@@ -202,6 +239,8 @@ class SessionWriter:
         known = self._known.get((entry.kind, entry.channel, entry.type, entry.links))
         if known is None or entry.kind in layout.NOTE_KINDS:
             return None
+        if self._outputs and not entry.kind.is_input and entry.size >= LARGE_BYTES:
+            return None  # its digest may be enough
         channel, packer = known
         return (channel, *packer.common) if packer else (channel, -1, b"")
 
@@ -318,26 +357,63 @@ class SessionWriter:
                     return self._channels[stream]
             channel = self._register(topic, layout.RAW_MESSAGE_TYPE, entry.kind, facts)
         self._channels[stream] = channel
+        self._count_channel(channel, stream)
+        return channel
+
+    def _count_channel(self, channel: int, stream: tuple[Kind, str, str]) -> None:
         for counts in self._figures.values():
             if stream[1] in layout.SHARED_TOPICS:
                 counts.give_up()
             else:
                 counts.add_channel(channel, *stream)
+
+    def _digest_channel(self, entry: Entry) -> int:
+        """The channel of the digests of a stream, beside that of its other messages: no other program reads these."""
+        stream = (entry.kind, entry.channel, entry.type)
+        if stream in self._digests:
+            return self._digests[stream]
+        facts = {layout.DIGEST_KEY: DIGEST_NAME}
+        if entry.kind in layout.ROS_KINDS:
+            topic, ros_type = entry.channel, entry.type
+            qos = self._qos_of(entry.channel, entry.type) or Qos()
+        else:
+            topic, ros_type = self._topics.topic(entry.kind, entry.type, device_name(entry)), layout.RAW_MESSAGE_TYPE
+            qos = Qos()
+            if topic in layout.SHARED_TOPICS:
+                stream = (entry.kind, topic, "")
+                if stream in self._digests:
+                    return self._digests[stream]
+            else:
+                facts[layout.STREAM_KEY] = layout.escape(entry.channel)
+        # its definition has to be in the file: who reads it gets messages of this type
+        definition = self._register_schema(ros_type)
+        if definition and definition.type_hash:
+            facts[layout.DIGEST_HASH_KEY] = definition.type_hash
+        facts |= {layout.DIGEST_TOPIC_KEY: topic, layout.DIGEST_TYPE_KEY: ros_type}
+        facts[layout.QOS_KEY] = layout.qos_yaml(qos)
+        place = f"{layout.DIGEST_TOPIC}{topic}"
+        self._digests[stream] = channel = self._register(place, layout.RAW_MESSAGE_TYPE, entry.kind, facts)
+        self._count_channel(channel, stream)
         return channel
 
     def _register(self, topic: str, ros_type: str, kind: Kind, facts: dict[str, str]) -> int:
         metadata = {layout.QOS_KEY: layout.qos_yaml(Qos()), layout.KIND_KEY: kind.value, **facts}
-        definition = self._definition_of(ros_type) or self._types.find(ros_type)
+        definition = self._register_schema(ros_type)
         if definition and definition.type_hash:
             metadata[layout.TYPE_HASH_KEY] = definition.type_hash
-        if not definition and ros_type not in self._schemas:
-            self.undefined.append(ros_type)
         with self._disk_errors():
-            if ros_type not in self._schemas:
-                # without a definition the encoding must be empty, too, as in files of rosbag2
-                encoding, data = (definition.encoding, definition.data) if definition else ("", b"")
-                self._schemas[ros_type] = self._mcap.register_schema(ros_type, encoding, data)
             return self._mcap.register_channel(topic, layout.MESSAGE_ENCODING, self._schemas[ros_type], metadata)
+
+    def _register_schema(self, ros_type: str) -> Definition | None:
+        definition = self._definition_of(ros_type) or self._types.find(ros_type)
+        if ros_type not in self._schemas:
+            if not definition:
+                self.undefined.append(ros_type)
+            # without a definition the encoding must be empty, too, as in files of rosbag2
+            encoding, data = (definition.encoding, definition.data) if definition else ("", b"")
+            with self._disk_errors():
+                self._schemas[ros_type] = self._mcap.register_schema(ros_type, encoding, data)
+        return definition
 
     def _check_file(self, *moments: Fsync) -> None:
         """Force the data to the disk where that is due.  Raises OSError if the file there is not what was written."""

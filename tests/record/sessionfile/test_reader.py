@@ -145,7 +145,7 @@ def _sqlite_bag(path: Path) -> None:
 
 
 def _newer(path: Path) -> None:
-    _bag(path, {layout.SESSION_METADATA: layout.seal({"format_version": str(layout.FORMAT_VERSION + 1)})})
+    _bag(path, {layout.SESSION_METADATA: layout.seal({"format_version": str(max(layout.PRESENT_VERSIONS) + 1)})})
 
 
 @pytest.mark.parametrize(
@@ -156,7 +156,7 @@ def _newer(path: Path) -> None:
         (_empty, UnsupportedRecording, "the file is empty"),
         (_text, UnsupportedRecording, "not an MCAP file"),
         (_sqlite_bag, UnsupportedRecording, "not an MCAP file"),
-        (_newer, UnsupportedRecording, "found format version 2, expected at most 1"),
+        (_newer, UnsupportedRecording, "found format version 3, expected at most 2"),
     ],
 )
 def test_what_is_no_recording_is_refused(

@@ -382,7 +382,7 @@ def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_newer_version_is_refused(tmp_path: Path) -> None:
-    newer = layout.seal({layout.FORMAT_VERSION_KEY: str(layout.FORMAT_VERSION + 1)})
+    newer = layout.seal({layout.FORMAT_VERSION_KEY: str(max(layout.PRESENT_VERSIONS) + 1)})
     (tmp_path / "a").write_bytes(_bag(metadata={layout.SESSION_METADATA: newer})[:-40])
     with pytest.raises(UnsupportedRecording, match="newer igtl-gateway"):
         Salvage.open(tmp_path / "a")

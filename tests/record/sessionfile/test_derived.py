@@ -1,0 +1,327 @@
+"""A file with the digests of large outputs reads as one with all bytes, by every path of the reader."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from mcap.reader import make_reader
+
+from igtl_gateway.app.verification import verify_session
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import GatewayError, UnsupportedRecording
+from igtl_gateway.base.untrusted.limits import FileLimits, limits_in_force
+from igtl_gateway.base.version import __version__
+from igtl_gateway.config.configuration import Config, ToRosRow
+from igtl_gateway.convert import rosmsg
+from igtl_gateway.convert.common_msgs import MultiArrayLayout
+from igtl_gateway.convert.multi_arrays import MULTI_ARRAYS
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.columns import EntryColumns
+from igtl_gateway.record.sessionfile.large_outputs import LARGE_BYTES, LargeOutputs, NotComputed, Outputs
+from igtl_gateway.record.sessionfile.lookup import LatchedStateRule
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.writer import SessionWriter
+from igtl_gateway.replay.content_figures import summary_of
+from igtl_gateway.testing.gateway import ManualGateway
+from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.body import Body
+from igtl_gateway.wire.image import Image
+from igtl_gateway.wire.ndarray import NdArray
+from igtl_gateway.wire.point import Points
+from igtl_gateway.wire.polydata import Cells, PolyData
+from igtl_gateway.wire.transform import Transform
+from tests.tables import table
+
+_HEADER = rosmsg.Header(0, "camera")
+CONFIG = Config(to_ros=(ToRosRow(device="Sliced*", kinds=("+slices",)),))
+
+
+def picture(number: int, size: tuple[int, int, int] = (320, 240, 1)) -> Image:
+    pixels = np.random.default_rng(number).integers(0, 256, size[0] * size[1] * size[2], np.uint8)
+    return Image(size, 3, pixels.tobytes())
+
+
+def part(number: int, first: int) -> Image:
+    """The lower or the upper half of a volume."""
+    pixels = np.random.default_rng(number).integers(0, 256, 64 * 64 * 16, np.uint8).tobytes()
+    return Image((64, 64, 32), 3, pixels, subvol_offset=(0, 0, first), subvol_size=(64, 64, 16))
+
+
+def values(number: int, count: int) -> npt.NDArray[np.float64]:
+    return np.random.default_rng(number).normal(0, 100, (count, 3))
+
+
+def cloud(number: int) -> rosmsg.PointCloud2:
+    points = values(number, 6_000).astype("<f4")
+    fields = tuple(rosmsg.PointField(name, 4 * at, 7) for at, name in enumerate("xyz"))
+    return rosmsg.PointCloud2(_HEADER, 1, len(points), fields, False, 12, 12 * len(points), points.tobytes(), True)
+
+
+def from_peer(number: int) -> Iterator[bytes]:
+    """Large messages of each type that has some, and a small one."""
+    yield encoded("IMAGE", "Probe", picture(number))
+    yield encoded("IMAGE", "Head", picture(number, (64, 64, 32)))
+    yield encoded("IMAGE", "Sliced", picture(number, (64, 64, 32)))
+    for first in (0, 16):
+        yield encoded("IMAGE", "InParts", part(number, first))
+    yield encoded("POINT", "Points", Points.of(values(number, 2_000)))
+    triangles = Cells.of([[at, at + 1, at + 2] for at in range(0, 6_000, 3)])
+    yield encoded("POLYDATA", "Surface", PolyData(values(number, 6_000).astype(">f4"), polygons=triangles))
+    yield encoded("NDARRAY", "Field", NdArray(11, (3, 10_000), values(number, 10_000).astype("<f8").tobytes()))
+    yield encoded("TRANSFORM", "Tool", Transform((1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0, float(number), 0, 0)))
+
+
+def from_ros(number: int) -> Iterator[tuple[str, rosmsg.RosMessage]]:
+    pixels = np.random.default_rng(1000 + number).integers(0, 256, 3 * 300 * 200, np.uint8)
+    yield "/igtl/out/Picture/camera", rosmsg.Image(_HEADER, 200, 300, "rgb8", 0, 900, pixels.tobytes())
+    yield "/igtl/out/Cloud", cloud(number)
+    yield "/igtl/out/Array/float64", MULTI_ARRAYS["f8"](MultiArrayLayout(), values(number, 5_000).reshape(-1))
+
+
+def encoded(igtl_type: str, device: str, body: Body) -> bytes:
+    return join(encode(Message(igtl_type, device, body)))
+
+
+def session(count: int = 3) -> ManualGateway:
+    """Large messages of each type from a peer and from ROS, and small ones in between."""
+    gateway = ManualGateway(CONFIG)
+    link = gateway.connect()
+    for number in range(count):
+        for message in from_peer(number):
+            gateway.from_peer(message, link)
+            gateway.advance(0.01)
+        for topic, published in from_ros(number):
+            gateway.from_ros(topic, published)
+            gateway.advance(0.01)
+    return gateway
+
+
+def written(
+    path: Path, entries: Sequence[Entry], mode: Outputs, *, compression: str = "lz4", version: str = __version__
+) -> SessionWriter:
+    facts = {"igtl_gateway_version": version, "config": json.dumps(CONFIG.to_dict(), sort_keys=True)}
+    outputs = LargeOutputs(mode)
+    writer = SessionWriter(path, facts, compression=compression, counted=True, outputs=outputs)  # type: ignore[arg-type]
+    for entry in entries:
+        writer.write(entry)
+    writer.close({"recorder": {"left_out": dict(outputs.left_out), "left_out_entries": outputs.left_out.total()}})
+    return writer
+
+
+def plain(entries: Iterable[Entry]) -> list[tuple[object, ...]]:
+    return [
+        (each.seq, each.stamp_ns, each.kind, each.channel, each.type, each.data(), each.links, each.source_ns)
+        for each in entries
+    ]
+
+
+@pytest.fixture(scope="module")
+def log() -> list[Entry]:
+    return session().log
+
+
+@pytest.fixture(scope="module", params=["none", "lz4", "zstd"])
+def both(request: pytest.FixtureRequest, log: list[Entry], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """A file with all bytes, and one with digests."""
+    folder = tmp_path_factory.mktemp("both")
+    for mode in ("full", "digest"):
+        written(folder / f"{mode}.mcap", log, mode, compression=request.param)
+    with SessionFile.open(folder / "full.mcap") as full, SessionFile.open(folder / "digest.mcap") as digest:
+        yield full, digest
+
+
+def large(log: Iterable[Entry], *, outputs: bool) -> list[Entry]:
+    return [entry for entry in log if entry.size >= LARGE_BYTES and entry.kind.is_input != outputs]
+
+
+Read = Callable[[SessionFile], object]
+
+
+def payloads(file: SessionFile, start_ns: int = 0) -> list[tuple[str, bytes]]:
+    streams = [each for each in file.channels if each.kind not in layout.NOTE_KINDS]
+    return [
+        (stream.topic, bytes(block.payload(row)))
+        for stream in sorted(streams, key=str)
+        for block in file.blocks(stream, start_ns)
+        for row in range(len(block))
+    ]
+
+
+def messages(file: SessionFile) -> list[object]:
+    return [
+        (schema, channel.topic, channel.metadata, row[1:4], bytes(memoryview(row[6])[row[4] : row[5]]))
+        for schema, channel, row in file.messages()
+    ]
+
+
+def schemas(found: list[Any]) -> list[object]:
+    return [(schema.name, bytes(schema.data), *rest) for schema, *rest in found]
+
+
+def midway(file: SessionFile) -> int:
+    return (file.start_ns + file.end_ns) // 2
+
+
+def of_all_columns(file: SessionFile) -> list[object]:
+    return [
+        (definitions[int(columns.channels[row])][1].topic, data[int(columns.begins[row]) : int(columns.ends[row])])
+        for definitions, data, columns in file.all_columns()
+        for row in range(len(columns.times))
+    ]
+
+
+STATE = LatchedStateRule(lambda kind, channel, _type: "Picture" in channel or "Probe" in channel, lambda _topic: False)
+READS: dict[str, Read] = {
+    "entries": lambda file: plain(file.entries()),
+    "entries from the middle on": lambda file: plain(file.entries_starting_at(midway(file))),
+    "entries of kinds": lambda file: plain(e for e in file.entries_of_kinds({Kind.ROS_OUT}) if e.kind is Kind.ROS_OUT),
+    "columns": lambda file: plain(e for columns in file.columns() for e in columns.entries()),
+    "columns of one stream": lambda file: plain(
+        e for columns in file.columns(wanted=lambda each: each.kind is Kind.IGTL_OUT) for e in columns.entries()
+    ),
+    "columns from the middle on": lambda file: plain(e for some in file.columns(midway(file)) for e in some.entries()),
+    "columns of OpenIGTLink": lambda file: [
+        some.data[int(begin) : int(end)] for some in file.columns() for begin, end in zip(*places(some), strict=True)
+    ],
+    "blocks": payloads,
+    "blocks from the middle on": lambda file: payloads(file, midway(file)),
+    "messages": lambda file: schemas(messages(file)),
+    "all columns": of_all_columns,
+    "channels": lambda file: sorted(map(str, file.channels)),
+    "first links": lambda file: [file.first_links(each) for each in sorted(file.channels, key=str)],
+    "spans": lambda file: [file.span(each) for each in sorted(file.channels, key=str)],
+    "counts": lambda file: (file.entry_count, file.start_ns, file.end_ns, file.damaged_indexes(), file.skipped),
+    "summary": lambda file: [str(summary_of(file)[0].streams), summary_of(file)[1]],
+    "summary of all entries": lambda file: str(summary_of(file, full=True)[0].streams),
+    "verification": lambda file: replace(verify_session(file), file=Path(), compiled=0),
+    "full verification": lambda file: replace(verify_session(file, reference=True), file=Path(), compiled=0),
+}
+
+
+def places(columns: EntryColumns) -> tuple[list[int], list[int]]:
+    wire = columns.wire()
+    return wire.begins.tolist(), wire.ends.tolist()
+
+
+@table("name, read", READS.items())
+def test_every_path_of_the_reader_gives_all_bytes(both: Any, name: str, read: Read) -> None:
+    full, digest = both
+    assert read(digest) == read(full), name
+
+
+def test_the_state_before_a_time_has_all_bytes(both: Any, log: list[Entry]) -> None:
+    _, digest = both
+    found = plain(digest.entries_with_state(midway(digest), STATE))
+    every = {each[0]: each for each in plain(log)}
+    assert found == [every[each[0]] for each in found]
+    before = [each for each in found if each[1] < midway(digest) and each[3] == "/igtl/in/Probe/image"]  # type: ignore[operator]
+    assert before
+
+
+def test_entries_are_those_that_were_written(both: Any, log: list[Entry]) -> None:
+    full, digest = both
+    assert plain(digest.entries()) == plain(log)
+    saved = full.size - digest.size
+    assert saved > 0.3 * sum(entry.size for entry in large(log, outputs=True)), "zstd finds some of it alone"
+
+
+def test_other_programs_find_digests_on_topics_of_their_own(both: Any, log: list[Entry]) -> None:
+    _, digest = both
+    names = {entry.channel for entry in large(log, outputs=True) if entry.kind is Kind.ROS_OUT}
+    with digest.path.open("rb") as stream:
+        found = [channel.topic for _, channel, _ in make_reader(stream).iter_messages()]
+    assert names.isdisjoint(found)
+    assert {f"{layout.DIGEST_TOPIC}{name}" for name in names} <= {*found}
+    assert set(found) >= {entry.channel for entry in log if entry.kind is Kind.ROS_IN}
+
+
+def test_the_version_of_the_format_says_whether_it_may_have_digests(both: Any) -> None:
+    full, digest = both
+    assert (full.format_version, digest.format_version) == (1, 2)
+
+
+def test_without_outputs_verification_counts_them(log: list[Entry], tmp_path: Path) -> None:
+    written(tmp_path / "none.mcap", log, "none")
+    with SessionFile.open(tmp_path / "none.mcap") as file:
+        found = verify_session(file)
+        assert file.format_version == 1
+    expected = sum("video" not in entry.type for entry in large(log, outputs=True))
+    assert found.good and found.lost == expected
+    assert found.equal == sum(not entry.kind.is_input for entry in log) - expected
+
+
+# -- what cannot be computed ---------------------------------------------------------------------------------
+
+
+def changed(path: Path, chosen: Callable[[Entry], bool], change: Callable[[bytes], bytes], log: list[Entry]) -> Entry:
+    """Write digests of the log, and an entry that is not the one that they follow from; return it."""
+    found = next(entry for entry in log if chosen(entry))
+    facts = {"igtl_gateway_version": __version__, "config": json.dumps(CONFIG.to_dict(), sort_keys=True)}
+    writer = SessionWriter(path, facts, outputs=LargeOutputs("digest"), compression="none")
+    for entry in log:
+        writer.write(replace(entry, payload=(change(entry.data()),)) if entry is found else entry)
+    writer.close({})
+    return found
+
+
+def flipped(data: bytes) -> bytes:
+    return data[:-5] + bytes([data[-5] ^ 1]) + data[-4:]
+
+
+def is_picture(kind: Kind) -> Callable[[Entry], bool]:
+    return lambda entry: entry.kind is kind and "camera" in entry.channel
+
+
+@table("kind", [Kind.ROS_IN, Kind.IGTL_OUT])
+def test_a_digest_that_is_not_of_the_input_is_found_with_its_place(
+    log: list[Entry], tmp_path_factory: pytest.TempPathFactory, kind: Kind
+) -> None:
+    path = tmp_path_factory.mktemp("changed") / "changed.mcap"
+    changed(path, is_picture(kind), flipped, log)
+    output = next(entry for entry in log if is_picture(Kind.IGTL_OUT)(entry))
+    words = rf"entry {output.seq} \(caused by entry {output.seq - 1}\), {output.channel}: the file has its digest"
+    with SessionFile.open(path) as file:
+        before = []
+        with pytest.raises(NotComputed, match=words):
+            for entry in file.entries():
+                before.append(entry.seq)
+        assert before[-1] >= output.seq - 20, "what is before it in the file is read"
+        with pytest.raises(NotComputed, match=words):
+            verify_session(file)
+
+
+def test_another_version_says_which_one_can_compute_it(log: list[Entry], tmp_path: Path) -> None:
+    path = tmp_path / "other.mcap"
+    written(path, [replace(entry, payload=(flipped(entry.data()),)) if is_picture(Kind.ROS_IN)(entry) else entry
+                   for entry in log], "digest", version="9.8.7")  # fmt: skip
+    words = f"igtl-gateway {__version__} computes other bytes; igtl-gateway 9.8.7, which recorded it, can compute them"
+    with SessionFile.open(path) as file, pytest.raises(UnsupportedRecording, match=words):
+        list(file.entries())
+
+
+def test_a_reader_of_the_version_before_refuses_the_file(
+    log: list[Entry], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written(tmp_path / "digest.mcap", log, "digest")
+    monkeypatch.setattr(layout, "PRESENT_VERSIONS", (1,))
+    with pytest.raises(UnsupportedRecording, match="found format version 2, expected at most 1; read it with a newer"):
+        SessionFile.open(tmp_path / "digest.mcap")
+
+
+def test_no_digest_is_larger_than_the_limit_of_memory(log: list[Entry], tmp_path: Path) -> None:
+    written(tmp_path / "digest.mcap", log, "digest")
+    with (
+        limits_in_force(FileLimits(memory=1 << 17)),
+        SessionFile.open(tmp_path / "digest.mcap") as file,
+        pytest.raises(GatewayError),
+    ):
+        for columns in file.columns():
+            columns.wire()
