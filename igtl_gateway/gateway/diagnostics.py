@@ -58,6 +58,7 @@ class _Baseline:
     troubles: int = 0
     moved_ns: int = 0  # time at which the counts last grew
     rhythm: bool = False
+    had_sender: bool = False  # a peer that the guard knows
 
 
 class Diagnostics:
@@ -146,6 +147,9 @@ class Diagnostics:
             seen.moved_ns, seen.received = now_ns, received
         seen.rhythm = seen.rhythm or rate_hz >= RHYTHM_HZ
         silent_ns = now_ns - seen.moved_ns
+        # the guard forgets the streams of a link that is closed
+        seen.had_sender = seen.had_sender or bool(watched)
+        has_left = side == "igtl_in" and seen.had_sender and not watched
         stale = [one for one in watched if one.stale]
         odd = sorted({code for one in watched for code in one.episodes})
         if stale:
@@ -155,8 +159,10 @@ class Diagnostics:
             level, text = ERROR, f"{fresh_troubles:,} messages lost since the last report: {reasons}"
         elif odd:
             level, text = WARN, ", ".join(odd)
-        elif seen.rhythm and silent_ns >= SILENT_NS:
-            level, text = STALE, f"no message for {silent_ns / NS_PER_S:.0f} s"
+        elif has_left:
+            level, text = STALE if seen.rhythm else OK, "its peer has left"
+        elif silent_ns >= SILENT_NS:
+            level, text = STALE if seen.rhythm else OK, f"no message for {silent_ns / NS_PER_S:.0f} s"
         else:
             level, text = OK, f"{rate_hz:.1f} Hz"
         values = [("frequency_hz", f"{rate_hz:.2f}"), ("silent_s", f"{silent_ns / NS_PER_S:.1f}")]

@@ -56,6 +56,31 @@ def test_a_stream_is_ok_then_stale_then_silent() -> None:
     assert [told()[STREAM].level for _ in range(8)] == [OK] * 5 + [STALE] * 3
 
 
+def test_a_stream_whose_peer_has_left_is_not_good_at_0_hz() -> None:
+    told = Told(Config(watch=True))
+    told.script.up(1)
+    told()
+    for _ in range(3):
+        told.script.igtl(pose(told.script.now_ns))
+    assert told()[STREAM].level == OK
+    told.script.down(1)
+    found = told()[STREAM]
+    assert (found.level, found.message) == (STALE, "its peer has left")
+    told.script.up(2)
+    told.script.igtl(pose(told.script.now_ns), link=2)
+    assert told()[STREAM].level == OK
+
+
+def test_a_stream_that_comes_now_and_then_says_since_when_nothing_came() -> None:
+    told = Told(Config(watch=True))
+    told.script.up(1)
+    told()
+    told.script.now_ns += 3 * NS_PER_S
+    told.script.igtl(pose(told.script.now_ns))
+    found = [told()[STREAM] for _ in range(8)]
+    assert {each.level for each in found} == {OK} and found[-1].message == "no message for 7 s"
+
+
 def test_a_host_whose_clock_is_set_knows_all_the_same_how_long_a_stream_is_silent() -> None:
     told = Told(Config(watch=True))
     told()

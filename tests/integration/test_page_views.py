@@ -17,6 +17,7 @@ _LINK = "http://127.0.0.1:9876/?url=rerun"
 _OLD = {"name": "old.mcap", "bytes": 1_000, "modified_ns": 1, "read": True, "closed": True, "start_ns": 1, "streams": 3}
 
 _SENDS = {"names": ["TRANSFORM/b"], "number": 1, "why": "the recorded bytes", "stay": ["TRANSFORM/a"], "staying": 1}
+_NOTHING = {"names": [], "number": 0, "why": "", "stay": [], "staying": 0}
 
 
 class Facts:
@@ -34,7 +35,13 @@ class Facts:
 
     def sessions(self) -> list[dict[str, Any]]:
         late = {"name": "late.mcap", "bytes": 9, "modified_ns": 2, "read": True, "unread": 1, "results": {}}
-        read = {"duration_s": 4.0, "marks": [], "sealed": False, "results": {}, "sends": {"igtl": _SENDS}}
+        read = {
+            "duration_s": 4.0,
+            "marks": [],
+            "sealed": False,
+            "results": {},
+            "sends": {"igtl": _SENDS, "igtl both": _SENDS | {"staying": 0}, "ros": _NOTHING},
+        }
         busy = {"name": "busy.mcap", "bytes": 9, "modified_ns": 2, "read": False, "reading_s": 12, "results": {}}
         return [_OLD | read, late | {"problem": "not read within 30 s: this machine is busy"}, busy]
 
@@ -121,7 +128,13 @@ def test_a_replay_has_one_button_to_start_and_shows_what_it_needs_before() -> No
         page.wait("document.querySelectorAll('#replay .track rect.slow').length === 1")
         assert "9 messages did not reach it" in page.text()
         assert "Sent: 1 stream: TRANSFORM/b (the recorded bytes)." in page.text()
-        assert "Not sent: 1 stream that peers sent to the bridge: TRANSFORM/a. They go to ROS." in page.text()
+        assert "Not sent: 1 stream that peers sent to the bridge: TRANSFORM/a." in page.text()
+        page.click("button", "Send it, too")
+        page.wait("document.querySelector('#replay select[data-key=side]').value === 'both'")
+        assert "Not sent" not in page.text()
+        page.run("side = ''; target = 'ros'; draw()")  # nothing is recorded for that target
+        page.click("button", "Send the usual ones to OpenIGTLink clients")
+        page.wait("document.querySelector('[data-key=target]').value === 'igtl listen'")
         starts = (
             "[...document.querySelectorAll('#replay button')].filter((each) => /Start|Play/.test(each.textContent))"
         )

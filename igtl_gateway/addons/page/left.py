@@ -53,4 +53,5 @@ def _is_back(left: dict[str, Any], there: dict[str, Any]) -> bool:
 def _row(row: dict[str, Any], since_ns: int) -> dict[str, Any]:
     trouble = departed(since_ns, was_regular=row["is_regular"])
     found = row | {"state": trouble.state, "text": trouble.text, "advice": trouble.advice}
-    return found | {"from_hz": 0.0, "to_hz": 0.0}
+    unknown = dict.fromkeys(("latency_ms", "ahead_ms", "jitter_ms"))
+    return found | unknown | {"from_hz": 0.0, "to_hz": 0.0}

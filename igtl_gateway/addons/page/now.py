@@ -8,18 +8,23 @@ from types import MappingProxyType
 from typing import Any
 
 from igtl_gateway.addon import NS_PER_S
+from igtl_gateway.addon.live import SILENT_NS
 from igtl_gateway.addon.notes import HARMLESS
 from igtl_gateway.addons.page.left import Left
 from igtl_gateway.addons.page.rhythm import Rhythm
 from igtl_gateway.addons.page.sample import rows_of
 from igtl_gateway.addons.page.trouble import (
     ERROR,
+    FINE,
+    LEFT,
+    OFF,
     OK,
     PEER_HAS_LEFT,
     SILENT,
     WAITING,
     WARNING,
     Losses,
+    Trouble,
     Watched,
     ahead_ms,
     latency_ms,
@@ -29,7 +34,7 @@ from igtl_gateway.addons.page.trouble import (
     stream_trouble,
 )
 
-_ORDER = {state: number for number, state in enumerate((ERROR, SILENT, WARNING, WAITING, OK))}
+_ORDER = {state: number for number, state in enumerate((ERROR, SILENT, WARNING, WAITING, OK, OFF))}
 #: Streams from which on one of them can be the slowest, and peers from which on their counts are a sum.
 _SEVERAL = 2
 #: Rows that a page shows; a peer that invents names must not fill it.
@@ -52,6 +57,8 @@ _INNER = frozenset({"number", "passed", "is_regular", "streams", "newest"})
 #: An address of a peer in a sentence.
 _ADDRESS = re.compile(r"[\w.\-%\[\]:]{1,120}:[0-9]{1,5}(?![0-9])")
 _GONE = ", which has left"
+#: Words of a state that is not what its colour says: of what has left, pauses, has not come.
+_LEFT_WORD, _QUIET_WORD, _MISSING_WORD = "left", "quiet", "missing"
 _STAMPS = {"stamp_backwards": "decrease", "stamp_still": "unchanged", "stamp_future": "in the future"}
 
 
@@ -61,6 +68,7 @@ def _missing_row(source: Mapping[str, str]) -> dict[str, Any]:
     return {
         "key": f"missing {kind} {name}",
         "state": WARNING,
+        "word": _MISSING_WORD,
         "name": name,
         "type": kind,
         "side": "igtl_in" if kind in ("device", "peer") else "ros_in",
@@ -114,13 +122,16 @@ class Now:
                 key, ones = (side, stream), by_stream.get((side, stream), [])
                 way, is_gone = self._way(key, ones, peers)
                 counts = totals.get(stream, 0), drops.get(stream, {})
-                row = self._stream_row(key, counts, ones, now_ns, utc_ns, is_gone=is_gone) | {"way": way}
+                row = self._stream_row(key, counts, ones, now_ns, utc_ns, is_gone=is_gone, has_peers=bool(peers)) | {
+                    "way": way
+                }
                 if side == "igtl_out":
                     row |= _to_each(facts.get("receivers", {}).get(stream, 0), links) or to_peers
                     row["rate_hz"] /= row.pop("receivers", 1)
                 streams.append(row)
                 if not side.startswith("igtl"):
                     streams[-1] |= {"type": types.get(stream, ""), "name": stream}
+        inputs = [row for row in streams if row["side"] in _INPUTS]
         streams += map(_missing_row, facts.get("missing", []))
         links += self._left.rows(links, now_ns, utc_ns)
         shown = [{name: value for name, value in row.items() if name not in _INNER} for row in links]
@@ -129,7 +140,8 @@ class Now:
             "links": _sorted(shown),
             "more": max(0, len(streams) - MAX_ROWS),
             "unsent": 0 if ros else len(facts["totals"].get("ros_out", {})),
-            "inputs": sum(row["side"] in _INPUTS for row in streams),
+            "inputs": len(inputs),
+            "arriving": sum(not row["word"] for row in inputs),
         }
 
     def _take_watched(
@@ -167,6 +179,7 @@ class Now:
         utc_ns: int,
         *,
         is_gone: bool,
+        has_peers: bool,
     ) -> dict[str, Any]:
         rhythm, losses = self._streams[key] = self._streams.get(key) or (Rhythm(), Losses(now_ns))
         received, dropped = counts
@@ -180,18 +193,25 @@ class Now:
             longest = rhythm
         rows = [one.row for one in ones]
         trouble = stream_trouble(rhythms, losses, dropped, ones, now_ns)
-        if is_gone and rhythm.is_regular and trouble.state in (OK, SILENT, WARNING):
-            trouble = PEER_HAS_LEFT
+        word, age_ns = "", now_ns - max(one.moved_ns for one in seen or [rhythm])
+        # the guard does not see all messages, such as queries: those of the last peer have left with it
+        unseen = key[0] == "igtl_in" and not has_peers and not rhythm.is_regular
+        is_gone = is_gone or (unseen and age_ns > NS_PER_S)
+        if is_gone and trouble.state in (OK, SILENT, WARNING):
+            trouble, word = PEER_HAS_LEFT if rhythm.is_regular else LEFT, _LEFT_WORD
+        elif trouble.state == OK and not rhythm.rate_hz and age_ns > SILENT_NS:
+            trouble, word = Trouble(OFF), _QUIET_WORD
         kind, _, name = key[1].partition("/")
         return {
             "key": " ".join(key),
             "state": trouble.state,
-            "name": name or "(no name)",
-            "type": kind,
+            "word": word,
+            "name": name or kind,
+            "type": kind if name else "without a device name,",
             "side": key[0],
-            "rate_hz": rhythm.rate_hz,
+            "rate_hz": 0.0 if word else rhythm.rate_hz,
             "spark": rhythm.spark_text,
-            "age_s": (now_ns - max(one.moved_ns for one in seen or [rhythm])) / 1e9,
+            "age_s": age_ns / 1e9,
             "gap_s": longest.gap_ns / 1e9 if any(one.is_regular for one in rhythms) else None,
             "gap_utc_ns": longest.gap_utc_ns,
             "latency_ms": latency_ms(rows),
@@ -262,11 +282,11 @@ def with_names(notes: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> 
 
 def wrong_things(rows: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """Return the links and streams that are not good, the worst first; what a stream has of its peer is one thing."""
-    found = [row for row in rows["links"] if row["state"] != OK]
+    found = [row for row in rows["links"] if row["state"] not in FINE]
     known = {(row["peer"], row["advice"]) for row in found}
     for row in rows["streams"]:
         sender = row["way"].removeprefix("from ").removesuffix(_GONE), row["advice"]
-        if row["state"] != OK and sender not in known:
+        if row["state"] not in FINE and sender not in known:
             found.append(row)
             if row["way"].endswith(_GONE):
                 known.add(sender)

@@ -13,8 +13,10 @@ from igtl_gateway.addon.checking import RULES
 from igtl_gateway.addon.notes import DROPPED, HARMLESS
 from igtl_gateway.addons.page.rhythm import Rhythm
 
-#: States, the worst first: each has a word, a shape and a colour on the page.
-ERROR, SILENT, WARNING, WAITING, OK = "error", "silent", "warning", "waiting", "ok"
+#: States, the worst first: each has a word, a shape and a colour on the page.  OFF: nothing comes, and nothing has to.
+ERROR, SILENT, WARNING, WAITING, OK, OFF = "error", "silent", "warning", "waiting", "ok", "off"
+#: States of which nothing is to be done.
+FINE = frozenset({OK, OFF})
 #: Losses are a problem for this time, ns.
 _RECENT_NS = 10_000_000_000
 #: Messages are late if most of the last ones are older than this on arrival (rule W306 of `doctor`, which has the least
@@ -194,8 +196,8 @@ def departed(since_ns: int, *, was_regular: bool) -> Trouble:
     return Trouble(SILENT if was_regular else WAITING, f"left {since_ns // NS_PER_S} s ago", "left")
 
 
-#: What is wrong with a regular stream whose peer has left.
-PEER_HAS_LEFT = Trouble(SILENT, "its peer has left", "left")
+#: What is wrong with a stream whose peer has left: a regular one, and one that came now and then.
+PEER_HAS_LEFT, LEFT = Trouble(SILENT, "its peer has left", "left"), Trouble(OFF)
 
 
 def _order(rhythm: Rhythm, now_ns: int) -> tuple[int, int]:

@@ -5,7 +5,7 @@ from typing import Any
 
 from igtl_gateway.addons.page.now import MAX_ROWS, Now, headline, others, slowest, with_names, wrong_things
 from igtl_gateway.addons.page.sample import WATCHED
-from igtl_gateway.addons.page.trouble import AHEAD_NS, ERROR, OK, SILENT, WAITING, WARNING
+from igtl_gateway.addons.page.trouble import AHEAD_NS, ERROR, OFF, OK, SILENT, WAITING, WARNING
 from igtl_gateway.gateway.log.timing import FUTURE_NS
 
 _S = 1_000_000_000
@@ -257,6 +257,46 @@ def test_a_peer_that_has_left_keeps_its_row_and_its_streams_say_it() -> None:
     for half in range(33, 250):
         found = rows(half, {2: "b:2"})
     assert [row["peer"] for row in found["links"]] == ["b:2"] and headline(found) == "Tracker: its peer has left"
+
+
+def test_no_stream_is_good_whose_peer_has_left_or_that_pauses() -> None:
+    """Streams of peers that left were good at 0.00 Hz: a STRING, a query, and what the gateway made of them."""
+    now = Now()
+    counts = {"STRING/Plan": 1, "GET_STATUS/": 2, "STATUS/Robot": 3}
+
+    def rows(half: int, links: list[int], counts: dict[str, int]) -> dict[str, dict[str, Any]]:
+        peers = [peer(link, f"a:{link}", received=6, sent=9) for link in links]
+        seen = [watched("STRING/Plan", link=link, looks=1, silent_ns=half * _S // 2) for link in links if link == 1]
+        sample = facts(counts, peers=peers, watched=seen)
+        sample["totals"] |= {"igtl_out": {"STATUS/": 4}, "ros_out": {"/plan": 1}, "ros_in": {"/pose": 2}}
+        return {row["key"]: row for row in now.rows(sample, half * _S // 2, 0)["streams"]}
+
+    for half in range(2, 6):
+        found = rows(half, [1, 2], counts)
+    assert {row["state"] for row in found.values()} == {OK}
+    for half in range(6, 20):
+        found = rows(half, [2], counts)
+    assert {key: row["word"] for key, row in found.items()} == {
+        "igtl_in STRING/Plan": "left",
+        "igtl_in GET_STATUS/": "quiet",
+        "igtl_in STATUS/Robot": "quiet",
+        "ros_in /pose": "quiet",
+        "igtl_out STATUS/": "quiet",
+        "ros_out /plan": "quiet",
+    }
+    for half in range(20, 30):
+        found = rows(half, [], counts)
+    assert {row["state"] for row in found.values()} == {OFF} and found["igtl_in GET_STATUS/"]["word"] == "left"
+    assert not any(row["rate_hz"] for row in found.values())
+    shown = now.rows(facts(counts), 15 * _S, 0)
+    assert (shown["inputs"], shown["arriving"]) == (3, 0) and not [row for row in wrong_things(shown) if "way" in row]
+    back = rows(32, [3], counts | {"STATUS/Robot": 9})
+    assert back["igtl_in STATUS/Robot"]["state"] == OK
+
+
+def test_a_message_without_a_device_name_has_the_name_of_its_type() -> None:
+    (row,) = Now().rows(facts({"GET_STATUS/": 2}), _S, 0)["streams"]
+    assert (row["name"], row["type"]) == ("GET_STATUS", "without a device name,")
 
 
 def test_a_peer_that_only_receives_has_left_though_another_one_is_there() -> None:

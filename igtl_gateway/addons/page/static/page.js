@@ -4,6 +4,7 @@
 const $ = (id) => document.getElementById(id);
 const SVG = "http://www.w3.org/2000/svg";
 const WORDS = { ok: "good", warning: "check", error: "fault", silent: "silent", waiting: "waiting", off: "off" };
+const STATES = ["error", "silent", "warning", "waiting", "ok", "off"];  // the worst first
 const VIEWS = ["now", "recording", "sessions", "replay"];
 let state = null, known = "", role = "full", view = "now", lastAnswer = 0, isLost = false;
 
@@ -211,6 +212,9 @@ function draw() {
   put($("foot"), state.has_bridge ? (now ? `igtl-gateway ${now.version} · runs for ${span(now.uptime_s)}` : `igtl-gateway ${state.version}`) : `igtl-gateway ${state.version} · ${state.folder}`);
   ({ now: drawNow, recording: drawRecording, sessions: drawSessions, replay: drawReplay })[view]();
 }
+/* Times, s, below which a disk is soon full, and very soon. */
+const LOW_S = [1800, 300];
+function lasting(seconds) { return seconds < 120 ? `${number(Math.max(0, seconds))} s` : `${number(seconds / 60)} min`; }
 /* What is wrong with the recording, on top of every view. */
 function trouble(rec) {
   if (!rec || isLost) return [];
@@ -218,6 +222,7 @@ function trouble(rec) {
   if (rec.stands) return ["error", "Nothing is written: the disk does not answer, or the recorder has no processor. Messages go on passing and wait in memory; what it has no room for is not recorded."];
   if (rec.losing) return ["error", "The recording is too slow: messages are missing in it, and more are being lost. Its note has the cause."];
   if (rec.taken_away) return ["warning", sentence(rec.taken_away)];
+  if (rec.left_s != null && rec.left_s < LOW_S[0] && !rec.rests) return [rec.left_s < LOW_S[1] ? "error" : "warning", `The disk of the recording is full in ${lasting(rec.left_s)} at the present rate: ${bytes(rec.free ?? 0)} are free in ${rec.folder}. Free some space, pause, or stop.`];
   return rec.paused && !rec.rests && view !== "recording" ? ["warning", "The recording is paused: nothing is recorded but marks, until Resume is pressed."] : [];
 }
 function drawTrouble(rec) {
@@ -251,7 +256,7 @@ function card(title, more, ...body) {
 /* A table whose rows stay the same elements: only what has changed is written. */
 class Rows {
   constructor(columns, cells, label) {
-    this.cells = cells; this.rows = new Map(); this.columns = columns.length;
+    this.cells = cells; this.rows = new Map(); this.columns = columns.length; this.titles = columns.map(([title]) => title);
     this.body = h("tbody");
     this.element = h("div.scroll", { tabindex: 0, role: "region", "aria-label": label }, h("table", null, h("thead", null, h("tr", null, columns.map(([title, kind]) => h("th", { scope: "col", class: kind }, title)))), this.body));
   }
@@ -260,7 +265,10 @@ class Rows {
     for (const row of rows) {
       gone.delete(row.key);
       let made = this.rows.get(row.key);
-      if (!made) this.rows.set(row.key, made = { cells: this.cells(), why: null });
+      if (!made) {
+        this.rows.set(row.key, made = { cells: this.cells(), why: null });
+        made.cells.forEach((cell, at) => { cell.td.dataset.label = this.titles[at]; });
+      }
       made.tr ||= h("tr", null, made.cells.map((cell) => cell.td));
       for (const cell of made.cells) cell.draw(row);
       const kind = row.state === "ok" ? "" : `row-${row.state}`;
@@ -286,7 +294,7 @@ function advise(place, text) {
 }
 function sentence(text) { return text.charAt(0).toUpperCase() + text.slice(1) + (/[.!?]$/.test(text) ? "" : "."); }
 function textCell(kind, shown) { const td = h("td", { class: kind }); return { td, draw: (row) => { const [text, zero] = [shown(row)].flat(); put(td, text); td.classList.toggle("zero", Boolean(zero)); } }; }
-function stateColumn() { const td = h("td"); let last = ""; return { td, draw: (row) => { const word = row.left_ns ? "left" : WORDS[row.state]; if (row.state + word !== last) { last = row.state + word; html(td, stateCell(row.state, word)); } } }; }
+function stateColumn() { const td = h("td"); let last = ""; return { td, draw: (row) => { const word = row.left_ns ? "left" : row.word || WORDS[row.state]; if (row.state + word !== last) { last = row.state + word; html(td, stateCell(row.state, word)); } } }; }
 function sparkColumn() {
   const path = svg("path", {}), td = h("td.wide", null, svg("svg", { class: "spark", viewBox: "0 0 100 22", preserveAspectRatio: "none", "aria-hidden": "true" }, path));
   let last = "";
@@ -306,11 +314,11 @@ function drawNow() {
     return;
   }
   const wrong = state.wrong, total = now.inputs;
-  const worst = [...now.streams, ...now.links].map((row) => row.state).sort((a, b) => "error silent warning waiting ok".indexOf(a) - "error silent warning waiting ok".indexOf(b))[0] || "waiting";
-  const title = now.headline ? sentence(now.headline).replace(/\.$/, "") : !total ? "No messages yet" : total === 1 ? "The stream arrives" : `All ${number(total)} streams arrive`;
+  const worst = [...now.streams, ...now.links].map((row) => row.state).sort((a, b) => STATES.indexOf(a) - STATES.indexOf(b))[0] || "waiting";
+  const title = now.headline ? sentence(now.headline).replace(/\.$/, "") : !total ? "No messages yet" : !now.arriving ? "Nothing arrives now" : now.arriving < total ? `${number(now.arriving)} of ${number(total)} streams arrive now` : total === 1 ? "The stream arrives" : `All ${number(total)} streams arrive`;
   const more = now.others && sentence(now.others).replace(/\.$/, "");
   const playing = state.replay?.running ? `A replay runs: ${state.replay.name}${TO[state.replay.to](state.replay.place)}` : "";
-  part(at.lead, [title, more, worst, total, now.links.length, now.ros, now.relay, now.refused, now.slowest, playing], () => h("div.lead", null, icon(total || wrong ? worst : "waiting"), h("div", null, h("h1", null, title),
+  part(at.lead, [title, more, worst, total, now.arriving, now.links.length, now.ros, now.relay, now.refused, now.slowest, playing], () => h("div.lead", null, icon(total || wrong ? worst : "waiting"), h("div", null, h("h1", null, title),
     h("p", null, [more, count(now.links.filter((link) => link.link).length, "peer"), count(total, "stream"), now.relay ? "relay" : now.ros ? "with ROS 2" : "without ROS", now.refused ? `${number(now.refused)} messages refused` : "nothing refused"].filter(Boolean).join(" · ")),
     now.slowest.length ? h("p", null, sentence(now.slowest.join(" · ")).replace(/\.$/, "")) : null,
     playing ? h("p", null, playing) : null)));
@@ -324,7 +332,7 @@ function drawNow() {
     at.links._nothing = nothing;
     html(at.links, card("Links", null, links.element, nothing));
     streams = new Rows([["State"], ["Stream"], ["Rate", "n"], ["Last minute", "wide"], ["Last", "n"], ["Worst gap", "n"], ["Latency", "n"], ["Dropped", "n"], ["Stamps", "wide"]], () => [
-      stateColumn(), twoLines((row) => row.name, (row) => [row.type.split("/").pop(), row.way].filter(Boolean).join(" "), (row) => `${row.type} ${row.way}`), textCell("n", (row) => `${rate(row.rate_hz)} Hz`), sparkColumn(),
+      stateColumn(), twoLines((row) => row.name, (row) => [row.type.split("/").pop(), row.way].filter(Boolean).join(" "), (row) => `${row.type} ${row.way}`), textCell("n", (row) => (row.rate_hz ? `${rate(row.rate_hz)} Hz` : [NONE, true])), sparkColumn(),
       textCell("n", (row) => age(row.age_s)), gapCell(), latencyCell(), textCell("n", (row) => [number(row.dropped), !row.dropped]), textCell("wide", (row) => row.stamps || [NONE, true])], "Streams");
     at.streams._more = h("span.more");
     at.streams._nothing = h("p.empty", null, "No stream has arrived yet.");
@@ -333,7 +341,7 @@ function drawNow() {
   links.draw(now.links); streams.draw(now.streams);
   links.element.hidden = !now.links.length; at.links._nothing.hidden = Boolean(now.links.length);
   streams.element.hidden = !now.streams.length; at.streams._nothing.hidden = Boolean(now.streams.length);
-  put(at.streams._more, now.more ? `${number(now.more)} more are not shown` : now.unsent ? `${count(now.unsent, "topic")} for ROS, which is off, not shown` : "what is wrong is on top");
+  put(at.streams._more, now.more ? `${number(now.more)} more are not shown` : now.unsent ? `${count(now.unsent, "topic")} for ROS not shown: ${now.relay ? "a relay has no ROS" : "start without --no-ros to publish them"}` : "what is wrong is on top");
   drawPictures(at.pictures, now.pictures);
   part(at.notes, now.notes, () => card("Notes of the session", null, now.notes.length ? h("ul.notes", { tabindex: 0, "aria-label": "Notes" }, [...now.notes].reverse().map(note)) : h("p.empty", null, "No notes yet.")));
 }
@@ -502,10 +510,11 @@ function drawSessions() {
     h("input", { type: "search", placeholder: "Filter by name or mark", "aria-label": "Filter by name or mark", style: null, "data-key": "filter", id: "filter", oninput: (event) => { filter = event.target.value.toLowerCase(); drawSessions(); } })));
   const rows = (sessions || []).filter((row) => !filter || row.name.toLowerCase().includes(filter) || (row.marks || []).some((mark) => mark.label.toLowerCase().includes(filter)));
   part(at.table, [rows, opened, locked(), sessions == null], () => h("div.card", null, !rows.length ? h("p.empty", null, sessions == null ? (state.folder ? "Reading the folder …" : "This bridge does not record: there is no folder to list.") : filter ? "No recording matches." : "No recordings in this folder.")
-    : h("div.scroll", null, h("table", null, h("thead", null, h("tr", null, [["Recording"], ["Begun", ""], ["Duration", "n"], ["Size", "n"], ["Streams", "n wide"], ["Marks", "n"], ["State"], ["Verified", ""], ["Sealed", "wide"], ["Reviewed", "wide"]].map(([title, kind]) => h("th", { scope: "col", class: kind }, title)))), h("tbody", null, rows.map(sessionRow)))),
+    : h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Recordings" }, h("table", null, h("thead", null, h("tr", null, SESSION_COLUMNS.map(([title, kind]) => h("th", { scope: "col", class: kind }, title)))), h("tbody", null, rows.map(sessionRow)))),
     sessions?.at(-1)?.older && h("p.empty", null, `${number(sessions.at(-1).older)} older recordings are not listed.`)));
   part(at.jobs, [state.jobs, openJob, openJob && jobLines, locked()], () => (state.jobs.length ? card("Work", null, h("ul.jobs", null, state.jobs.map(jobRow))) : []));
 }
+const SESSION_COLUMNS = [["Recording"], ["Begun", ""], ["Duration", "n"], ["Size", "n"], ["Streams", "n wide"], ["Marks", "n"], ["State"], ["Verified", ""], ["Sealed", "wide"], ["Reviewed", "wide"]];
 function sessionRow(row) {
   const open = opened === row.name, [kind, word] = sessionState(row);
   const toggle = () => { opened = open ? "" : row.name; drawSessions(); };
@@ -515,6 +524,7 @@ function sessionRow(row) {
     h("td.n.wide", null, row.streams == null ? NONE : number(row.streams)), h("td.n", { class: row.marks?.length ? "n" : "n zero" }, row.marks ? number(row.marked ?? row.marks.length) : NONE),
     h("td", null, stateCell(kind, word)), h("td", null, result(row, "verify", "not yet")),
     h("td.wide", null, row.results.seal ? result(row, "seal") : h("span", { class: row.sealed ? "" : "zero" }, row.sealed ? "has a seal" : "no")), h("td.wide", null, result(row, "review", "not yet")));
+  [...tr.children].forEach((td, at) => { td.dataset.label = SESSION_COLUMNS[at][0]; });
   if (!open) return tr;
   const off = row.recording ? "It is being recorded" : "";
   return [tr, h("tr.open", null, h("td", { colspan: 10 },
@@ -541,7 +551,7 @@ function bar(title, percent) {
 }
 function jobRow(job) {
   const [kind, word] = job.link ? ["ok", "ready"] : RESULTS_OF[job.action]?.[job.state] || RESULTS[job.state], title = ACTIONS.find(([action]) => action === job.action)[1], open = openJob === job.number;
-  return h("li", null, h("div.line1", null, icon(kind), h("b", null, title), h("span.clip", null, job.name), h("span.sub", null, [job.progress || word, span(job.seconds)].join(" · ")), h("span.gap"),
+  return h("li", null, h("div.line1", null, icon(kind), h("b", null, title), h("span.clip", { title: job.name }, job.name), h("span.sub", null, [job.progress || word, span(job.seconds)].join(" · ")), h("span.gap"),
     job.link && HERE.has(location.hostname) && h("a.btn.small.primary", { href: job.link, target: "_blank", rel: "noopener noreferrer" }, "Open the viewer"),
     h("button.btn.small", { type: "button", "aria-expanded": open, "data-key": `show ${job.number}`, onclick: () => toggleJob(job.number) }, open ? "Hide output" : "Show output"),
     job.state === "running" && button("Cancel", () => act({ do: "cancel", number: job.number }), { kind: ".small.danger", key: `cancel ${job.number}` })),
@@ -608,9 +618,9 @@ function drawReplay() {
       [["igtl listen", "OpenIGTLink clients"], ["igtl connect", "an OpenIGTLink server"], ["ros", "ROS 2"], ["both listen", "OpenIGTLink clients and ROS 2"]].map(([value, title]) => h("option", { value, selected: value === target }, title)))),
     target !== "ros" && h("label.field", null, h("span", null, target.includes("connect") ? "Its address" : "At address"), h("input", { type: "text", "data-key": "place", disabled: running, value: place || usualPlace(), onpointerdown: (event) => { event.target._fresh = document.activeElement !== event.target; }, onclick: (event) => { if (event.target._fresh) event.target.select(); }, oninput: (event) => { place = event.target.value.trim(); drawHint(); } })),
     h("label.field", null, h("span", null, "Messages"), h("select", { "data-key": "side", disabled: running, onchange: (event) => { side = event.target.value; draw(); } },
-      [["", "the usual ones"], ["gateway", "those of the bridge"], ["peers", "those of peers and nodes"], ["both", "all"]].map(([value, title]) => h("option", { value, selected: value === side }, title)))),
+      SIDES.map(([value, title]) => h("option", { value, selected: value === side }, title)))),
     h("label.field", null, h("span", null, "Rate"), h("select", { "data-key": "speed", disabled: running, onchange: (event) => { speed = event.target.value; } }, ["0.1", "0.25", "0.5", "1", "2", "5", "10"].map((value) => h("option", { value, selected: value === speed }, `${value} ×`))))),
-    running ? null : h("p.hint", { id: "hint" }, hint()), running ? null : sends(row)?.map(([kind, text]) => h("p.sends", { class: kind }, text)))));
+    running ? null : h("p.hint", { id: "hint" }, hint()), running ? null : sends(row)?.map(([kind, text, ...buttons]) => [h("p.sends", { class: kind }, text), buttons.length ? h("div.actions.offers", null, buttons) : null]))));
   const playing = running ? replay.state : null, length = row?.duration_s ?? playing?.duration_s;
   if (!row) {
     at.player._track = null;
@@ -627,13 +637,18 @@ function drawReplay() {
   readPlaces(row.name);
   drawBelow(at.below, row, replay, running);
 }
-/* Which streams go out to the chosen target, which do not, and why. */
+/* What is sent of a recording, in words. */
+const SIDES = [["", "the usual ones"], ["gateway", "those of the bridge"], ["peers", "those of peers and nodes"], ["both", "all"]];
+/* Which streams go out to the chosen target, which do not, and why; with buttons for what can be done about it. */
 function sends(row) {
   const found = row?.sends?.[`${target.split(" ")[0]} ${side}`.trim()];
   if (!found) return null;
   const some = (names, all) => names.map((name) => name.replace(/\/$/, "")).join(", ") + (all > names.length ? ` and ${number(all - names.length)} more` : "");
-  const sent = found.number ? ["", `Sent: ${count(found.number, "stream")}: ${some(found.names, found.number)} (${found.why}).`] : ["s-warning", "Nothing is sent: the recording has no messages for this target."];
-  return [sent, found.staying && ["s-warning", `Not sent: ${count(found.staying, "stream")} that peers sent to the bridge: ${some(found.stay, found.staying)}. To send them, choose them under Messages.`]].filter(Boolean);
+  const offer = (title, to, messages) => button(title, () => { target = to; side = messages; draw(); }, { kind: ".small", key: `offer ${to} ${messages}` });
+  const others = (to) => SIDES.find(([each]) => row.sends[`${to.split(" ")[0]} ${each}`.trim()]?.number);
+  const found_elsewhere = ["igtl listen", "ros"].map((to) => [to, others(to)]).filter(([, one]) => one).map(([to, [messages, title]]) => offer(`Send ${title} to ${to === "ros" ? "ROS 2" : "OpenIGTLink clients"}`, to, messages));
+  const sent = found.number ? ["", `Sent: ${count(found.number, "stream")}: ${some(found.names, found.number)} (${found.why}).`] : ["s-warning", `Nothing is sent: the recording has no messages for this target.${found_elsewhere.length ? "" : " It has none for any other."}`, ...found_elsewhere];
+  return [sent, found.staying && ["s-warning", `Not sent: ${count(found.staying, "stream")} that peers sent to the bridge: ${some(found.stay, found.staying)}.`, offer(found.staying > 1 ? "Send them, too" : "Send it, too", target, "both"), offer(found.staying > 1 ? "Send only what peers sent" : "Send only what the peer sent", target, "peers")]].filter(Boolean);
 }
 function hint() { return HINTS[target](place || usualPlace()); }
 function drawHint() { if ($("hint")) put($("hint"), hint()); }
