@@ -9,6 +9,7 @@ from igtl_gateway.addon.loading import Homes, at_first_use
 if TYPE_CHECKING:
     from igtl_gateway.app.bridge import Bridge as Bridge
     from igtl_gateway.app.note_rate import Event as NoteEvent
+    from igtl_gateway.app.note_rate import NoteRate as NoteRate
     from igtl_gateway.app.player import Player as Player
     from igtl_gateway.app.recording import ACTIONS as RECORDING_ACTIONS
     from igtl_gateway.app.replay_options import ReplayOptions as ReplayOptions
@@ -31,7 +32,7 @@ __all__ = ["RECORDING_ACTIONS", "REPLAY_SETTINGS", "REPLAY_SIDES", "NoteEvent", 
 HOMES: Homes = (
     # A bridge, and the states of its streams
     ("app.bridge", "Bridge"),
-    ("app.note_rate", "NoteEvent=Event"),
+    ("app.note_rate", "NoteEvent=Event NoteRate"),
     ("app.recording", "RECORDING_ACTIONS=ACTIONS"),
     ("gateway.diagnostics", "RHYTHM_HZ SILENT_NS"),
     # Replays

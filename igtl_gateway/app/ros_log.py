@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from igtl_gateway.app.note_rate import Event, NoteRate
+from igtl_gateway.app.note_rate import Event, NoteRate, is_routine
 from igtl_gateway.base.once import Once
-from igtl_gateway.gateway import FAULT, TICK
+from igtl_gateway.gateway import FAULT
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
-from igtl_gateway.gateway.orders import UNWRITTEN
 
 #: Called with level, text and time (UTC ns).
 Log = Callable[[Level, str, int], None]
@@ -41,7 +40,7 @@ class RosLog:
     def add(self, entry: Entry) -> None:
         """Take the note of an entry of the kinds ``NOTED``."""
         note = Note.unpack(entry.data())
-        if is_routine(note):
+        if is_routine(note):  # before it counts as the first of a cause
             return
         if (note.level is Level.INFO and note.code != FAULT) or self._once.first(note.code, note.stream):
             event = self._rate.take(Event(entry.stamp_ns, entry.kind, note, entry.links))
@@ -53,14 +52,6 @@ class RosLog:
         waiting = [self._waiting.popleft() for _ in range(len(self._waiting))]
         for event in waiting + self._rate.due(now_ns):
             self._log(event.note.level, note_text(event.note, event.links), event.stamp_ns)
-
-
-def is_routine(note: Note) -> bool:
-    """Return whether a note only drives the gateway, several times a second, and is not for people.
-
-    The commands that were not written have notes of their own.
-    """
-    return note.code in (TICK, UNWRITTEN)
 
 
 def note_text(note: Note, links: tuple[int, ...]) -> str:

@@ -10,7 +10,7 @@ from igtl_gateway.app.bridge import Bridge
 from igtl_gateway.app.entry_watch import EntryWatch
 from igtl_gateway.app.note_rate import Event
 from igtl_gateway.app.passage import NATIVE_PASSAGE
-from igtl_gateway.app.ros_log import is_routine, note_text
+from igtl_gateway.app.ros_log import note_text
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.globs import matches
 from igtl_gateway.base.near import did_you_mean, near_names
@@ -187,8 +187,6 @@ class TextOutput:
     def events(self, events: list[Event]) -> None:
         for event in events:
             note, links = event.note, event.links
-            if is_routine(note):
-                continue
             cause = (note.code, note.stream)
             if cause not in self._repeats and len(self._repeats) >= _MAX_CAUSES:
                 cause = (note.code, "(other streams)")

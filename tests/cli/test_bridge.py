@@ -7,12 +7,13 @@ from typing import Any, cast
 
 import pytest
 
-from igtl_gateway.app.note_rate import Event
+from igtl_gateway.app.entry_watch import EntryWatch
+from igtl_gateway.app.note_rate import Event, NoteRate
 from igtl_gateway.base.clock import ManualClock
-from igtl_gateway.cli.bridge_output import TextOutput
+from igtl_gateway.cli.bridge_output import JsonOutput, TextOutput
 from igtl_gateway.cli.bridge_run import _Show
 from igtl_gateway.gateway import TICK
-from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
 
 
@@ -31,10 +32,14 @@ def test_a_device_name_writes_no_lines_and_no_escape_sequences(capsys: pytest.Ca
 
 
 def test_ticks_drive_the_gateway_and_tell_people_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    out = TextOutput(terminal=False)
-    tick = Event(0, Kind.EDGE_NOTE, Note(Level.INFO, TICK, "a deadline has come"), ())
-    out.events([tick, Event(1, Kind.LINK, Note(Level.INFO, "link_up", "connected"), (1,)), tick])
-    assert capsys.readouterr().out == "= connected [link 1]\n"
+    for out, lines in ((TextOutput(terminal=False), 1), (JsonOutput(ManualClock(0)), 1)):
+        watch = EntryWatch(NoteRate())
+        for number in range(40):
+            watch(Entry(number, number, Kind.EDGE_NOTE, payload=(Note(Level.INFO, TICK, "a deadline").pack(),)))
+        watch(Entry(41, 41, Kind.LINK, payload=(Note(Level.INFO, "link_up", "connected").pack(),), links=(1,)))
+        out.events(watch.take(50))
+        shown = capsys.readouterr().out.splitlines()
+        assert len(shown) == lines and "connected" in shown[0]
 
 
 def test_an_event_that_is_told_is_in_the_state_already() -> None:

@@ -20,6 +20,7 @@ import numpy.typing as npt
 import rerun as rr
 
 from igtl_gateway.addon import ConversionError
+from igtl_gateway.addon.live import NoteEvent, NoteRate
 from igtl_gateway.addon.messages import ieee_754
 from igtl_gateway.addon.reading import Entry, EntryColumns, Kind, Level, Mark, MarkNote, Note
 from igtl_gateway.addon.untrusted import read_bytes
@@ -133,6 +134,7 @@ class SessionView:
         self._robots = Robots()
         self._siblings: list[_Sibling] = []
         self._rates = Rates(self._pen)
+        self._rate = NoteRate()
         self._last_number = 0
         self._inputs = 0
         self._learns = False  # the forms of what is drawn
@@ -149,7 +151,7 @@ class SessionView:
         self._timeless(entry)
         missing = entry.seq - self._last_number - 1
         if self._last_number and missing > 0:
-            self._drop(missing, f"{missing:,} entries are missing")
+            self._drop(missing, f"{missing:,} {'entry is' if missing == 1 else 'entries are'} missing")
         self._last_number = entry.seq
         if entry.kind.is_input:
             self._caused_by(self._inputs + 1)
@@ -183,6 +185,7 @@ class SessionView:
     @ieee_754
     def finish(self) -> None:
         """Send the collected rows and rulers.  The last, incomplete second gets no rate: it would look like a drop."""
+        self._log_due(None)
         self._pen.flush()
         for number, tree in enumerate(self.seen.trees().values()):
             frame = target_frame(self.seen, tree)
@@ -447,10 +450,11 @@ class SessionView:
 
     def _note(self, entry: Entry) -> None:
         note = Note.of(entry.data())
-        links = f" [link {', '.join(map(str, entry.links))}]" if entry.links else ""
-        stream = f"{note.stream}: " if note.stream and note.stream not in note.text else ""
-        text = f"{stream}{note.text}{links}"
-        self._pen.text(LOG, text, note.level.name, _COLOURS[note.level])
+        text = _line(note, entry.links)
+        self._log_due(entry.stamp_ns)
+        self._pen.at(entry)
+        if event := self._rate.take(NoteEvent(entry.stamp_ns, entry.kind, note, entry.links)):
+            self._log(event)
         if mark := MarkNote.of(note):
             self._pen.moment(entry.stamp_ns - mark.ago_ns)
             self._pen.text(MARKS, text, note.level.name, _COLOURS[note.level])
@@ -461,9 +465,27 @@ class SessionView:
             dropped = note.data.get("count") or note.data.get("dropped") or 1
             self._drop(sum(dropped.values()) if isinstance(dropped, dict) else dropped, text, in_log=False)
 
+    def _log_due(self, now_ns: int | None) -> None:
+        """Log the notes that were held back until a time (UTC); None: all of them."""
+        for event in self._rate.due(now_ns):
+            self._pen.moment(event.stamp_ns)
+            self._log(event)
+
+    def _log(self, event: NoteEvent) -> None:
+        more = f" ({event.more:,} more like it)" if event.more else ""
+        note = event.note
+        self._pen.text(LOG, f"{_line(note, event.links)}{more}", note.level.name, _COLOURS[note.level])
+
     def _drop(self, number: int, text: str, *, in_log: bool = True) -> None:
         self._pen.log(
             DROPS, rr.TextLog(self._pen.displayable(text), level="WARN", color=WARN), rr.Scalars([float(number)])
         )
         if in_log:
             self._pen.text(LOG, text, "WARN", WARN)
+
+
+def _line(note: Note, links: tuple[int, ...]) -> str:
+    """Return the line of a note in the log, with its stream and its links."""
+    stream = f"{note.stream}: " if note.stream and note.stream not in note.text else ""
+    which = f" [link {', '.join(map(str, links))}]" if links else ""
+    return f"{stream}{note.text}{which}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,6 +16,7 @@ pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 from igtl_gateway.addons.view.blueprints import NAMES, blueprint
 from igtl_gateway.convert.igtl_msgs import PolyData
 from igtl_gateway.convert.rosmsg import Header, Mesh, String, TransformStamped
+from igtl_gateway.gateway import TICK
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.marks import MarkNote
 from igtl_gateway.gateway.log.note import Level, Note
@@ -258,3 +260,27 @@ def test_equal_sessions_give_equal_pictures(draw: Draw) -> None:
         return {path: drawn.rows(path) for path in drawn.batches}
 
     assert rows() == rows()
+
+
+def test_the_log_has_no_note_that_comes_periodically_without_news(draw: Draw) -> None:
+    """A minute of a PLUS server: a ping four times a second, and a query that has no answer each second."""
+    tick = Note(Level.INFO, TICK, "a deadline has come")
+    query = Note(Level.INFO, "query_unanswered", "GET_TRANS of any device not answered", "GET_TRANS/")
+    mark = Note(Level.INFO, "mark", "stitch")
+    entries = []
+    for number in range(240):
+        told = [tick] + [query, mark] * (number % 4 == 0)
+        for one in told:
+            seq = len(entries) + 1
+            entries.append(Entry(seq, START_NS + number * SECOND // 4, Kind.EDGE_NOTE, payload=(one.pack(),), links=()))
+    log = Counter(re.sub(r" \(.* more like it\)", "", line) for line in draw(entries=entries).log())
+    assert log == {"GET_TRANS/: GET_TRANS of any device not answered": 4, "stitch": 60}
+
+
+@pytest.mark.parametrize("fixture", sorted(FIXTURES.glob("*.mcap")), ids=lambda path: path.stem)
+def test_no_fixture_has_a_line_of_its_log_many_times(draw: Draw, fixture: Path) -> None:
+    with SessionFile.open(fixture) as file:
+        notes = file.entries_of_kinds({Kind.LINK, Kind.NOTE, Kind.EDGE_NOTE})
+        log = Counter(draw(entries=[replace(one, seq=number) for number, one in enumerate(notes, 1)]).log())
+    repeated = {line: count for line, count in log.items() if count > 4}
+    assert not repeated and not [line for line in log if "deadline" in line]
