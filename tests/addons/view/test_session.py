@@ -267,7 +267,7 @@ def test_the_log_has_no_note_that_comes_periodically_without_news(draw: Draw) ->
     tick = Note(Level.INFO, TICK, "a deadline has come")
     query = Note(Level.INFO, "query_unanswered", "GET_TRANS of any device not answered", "GET_TRANS/")
     mark = Note(Level.INFO, "mark", "stitch")
-    entries = []
+    entries: list[Entry] = []
     for number in range(240):
         told = [tick] + [query, mark] * (number % 4 == 0)
         for one in told:
