@@ -5,9 +5,11 @@ They are what the classes of rerun make; those convert and check them for as lon
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,28 @@ import rerun as rr
 Array = npt.NDArray[Any]
 
 _PIXELS = pa.list_(pa.field("item", pa.uint8(), nullable=False))
+
+
+class _WithoutPandas:
+    """Finds no pandas."""
+
+    @staticmethod
+    def find_spec(name: str, *_: object) -> None:
+        """As the import system asks for it."""
+        if name == "pandas":
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+
+def leave_out_pandas() -> None:
+    """Have Arrow do without pandas in this process: it would import it with its first array, which takes 0.25 s."""
+    if "pandas" in sys.modules or find_spec("pandas") is None:
+        return
+    finder: Any = _WithoutPandas()
+    sys.meta_path.insert(0, finder)
+    try:
+        pa.array([0])
+    finally:
+        sys.meta_path.remove(finder)
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ from igtl_gateway.addon import (
     did_you_mean,
     near_names,
 )
-from igtl_gateway.addon.processes import is_present, missing, part_of
+from igtl_gateway.addon.processes import is_present, is_program, missing, part_of
 from igtl_gateway.addon.reading import (
     Entry,
     EntryColumns,
@@ -76,17 +76,22 @@ def run(options: argparse.Namespace) -> int:
             options.at_ns = None if options.at is None else _moment_ns(file, options.at)
     if find_spec("rerun") is None:
         raise ViewerError(missing("rerun"))
-    from igtl_gateway.addons.view.shots import check_driver
-    from igtl_gateway.addons.view.viewer import check_screen
+    if not (options.screenshot or options.save or options.web):
+        from igtl_gateway.addons.view.viewer import check_screen  # here: a file needs no viewer
 
-    if not (options.screenshot or options.save or options.web):  # before the work, not after it
-        check_screen(os.environ)
+        check_screen(os.environ)  # before the work, not after it
+    if is_program():
+        from igtl_gateway.addons.view.arrays import leave_out_pandas  # here: it imports rerun
+
+        leave_out_pandas()
     with stop_event() as stop, _folder() as folder:
         outs = [options.save or folder / f"session{number}.rrd" for number in range(len(files))]
         with (
             written(options.screenshot, overwrite=options.overwrite) if options.screenshot else nullcontext() as picture
         ):
             if picture:
+                from igtl_gateway.addons.view.shots import check_driver  # here: a file needs no picture
+
                 check_driver(os.environ)
             drawn = [
                 _drawn(options, path, number, out, stop.is_set)

@@ -175,6 +175,11 @@ def processor_times(pid: int) -> tuple[int, int] | None:
         return None
 
 
+def is_program() -> bool:
+    """Return whether this process is the command ``igtl-gateway``, and not a program that uses the package."""
+    return "igtl_gateway.start" in sys.modules  # nothing else imports it
+
+
 def usable_cpus() -> int:
     """Return the number of CPUs that this process may use."""
     if sys.platform == "linux":

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import subprocess
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -330,3 +333,12 @@ def test_messages_that_are_not_drawn_do_not_count_as_drawn(tmp_path: Path, capsy
             writer.finish()  # type: ignore[no-untyped-call]
         assert main(["view", str(tmp_path / f"{name}.mcap"), "-o", str(tmp_path / f"{name}.rrd")]) == code
         assert drawn in capsys.readouterr().out
+
+
+def test_a_file_is_written_without_pandas_and_viewer(tmp_path: Path) -> None:
+    """They would take half a second; Arrow imports pandas where it is installed."""
+    words = [sys.executable, "-X", "importtime", "-m", "igtl_gateway", "view", str(FIXTURES / "crtk.mcap")]
+    done = subprocess.run([*words, "-o", str(tmp_path / "a.rrd")], capture_output=True, text=True, check=True)
+    imported = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
+    assert "rerun" in imported and find_spec("pandas")
+    assert not imported & {"pandas.core", "igtl_gateway.addons.view.viewer", "igtl_gateway.addons.view.shots"}
