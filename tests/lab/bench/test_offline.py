@@ -7,12 +7,15 @@ from pathlib import Path
 
 import pytest
 
+from igtl_gateway.app.verification import verify_recording
 from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.cli import main
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway_lab.bench import offline, recordings
 from igtl_gateway_lab.bench.processes import BenchError
 from igtl_gateway_lab.bench.works import WORKS, WorkContext
+from tools.evidence import long_session
 from tools.evidence.offline_table import BEGIN, END, PAGE, with_table
 
 
@@ -86,3 +89,12 @@ def test_the_table_replaces_the_one_of_the_page() -> None:
     assert written == f"before\n{BEGIN}\n`bench` at abc;\nload 1\n\n| a |\n|---|\n\n{END}after\n"
     assert with_table(written, "| a |\n|---|\n\nload 1\n", "`bench` at abc;") == written
     assert PAGE.read_text("utf-8").count(BEGIN) == 1
+
+
+def test_a_session_of_hours_is_made_of_parts_and_verifies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(long_session, "_PART_S", 1)
+    entries = long_session.write(tmp_path / "a.mcap", 3 / 3600)
+    found = verify_recording(tmp_path / "a.mcap")
+    assert found.good and entries > 11_950
+    with SessionFile.open(tmp_path / "a.mcap") as file:
+        assert file.end_ns - file.start_ns > 2.9 * NS_PER_S
