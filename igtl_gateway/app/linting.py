@@ -8,6 +8,7 @@ from typing import Any
 
 from igtl_gateway.doctor.observer import Observer
 from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.record.sessionfile.large_outputs import DigestedOutput
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.salvage import Salvage
 from igtl_gateway.replay.recorded_config import config_to_run
@@ -27,6 +28,8 @@ def observe(
     """
     seen = Observer(config_to_run(file.session, config))
     for entry in file.entries():
+        if isinstance(entry, DigestedOutput):  # of a damaged file: nothing can be found in it
+            continue
         seen.add(entry)
         if also:
             also(entry)

@@ -123,6 +123,8 @@ class DerivedOutputs:
         self._read: tuple[int, list[Row]] = -1, []  # offset of the last chunk that was read here, and its messages
         self._few, self._all = _Run(in_full=False), _Run(in_full=True)
         self._known: list[Entry] | None = None
+        #: Where it is a set: numbers of the outputs that are not computed, of which the digest stays; else they raise.
+        self.missing: set[int] | None = None
         self._with_memory: set[int] = set()  # channels of inputs for which few inputs before did not suffice
 
     # -- for readers ------------------------------------------------------------------------------------------
@@ -168,6 +170,16 @@ class DerivedOutputs:
     # -- one output -------------------------------------------------------------------------------------------
 
     def _message(self, row: Row, cause: Row | None) -> bytes:
+        try:
+            return self._computed(row, cause)
+        except (NotComputed, UnsupportedRecording) as error:
+            if self.missing is None:
+                raise
+            if isinstance(error, NotComputed):
+                self.missing.add(row[1])
+            return bytes(memoryview(row[6])[row[4] : row[5]])
+
+    def _computed(self, row: Row, cause: Row | None) -> bytes:
         channel, sequence, log_ns, publish_ns, begin, end, data = row
         digest = OutputDigest(memoryview(data)[begin:end], sequence, log_ns, publish_ns)
         cause = cause or self._cause_before(log_ns)

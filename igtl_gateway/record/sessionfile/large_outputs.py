@@ -15,14 +15,21 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
+from collections.abc import Callable
 from hashlib import sha256
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
+
+from mcap.records import Channel
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import DamagedRecording
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.layout import WIRE_TOPICS, LayoutError
 from igtl_gateway.record.sessionfile.messages import RawPacker, unpack_raw
+
+if TYPE_CHECKING:
+    from igtl_gateway.record.sessionfile.chunk_columns import Row
 
 #: How large outputs are written.
 Outputs = Literal["full", "digest", "none"]
@@ -32,6 +39,8 @@ LARGE_BYTES = 64 << 10
 _SMALL_BYTES = 1 << 10
 #: What an output may have besides the bytes of its input: names, metadata.
 _BESIDE_BYTES = 64 << 10
+#: Zeros that stand for bytes that are not at hand: more than a message has.
+_MOST_ZEROS = 1 << 30
 #: Name of the digest in the metadata of a channel.
 DIGEST_NAME = "sha256"
 _DIGEST = struct.Struct("<Q32s")
@@ -103,14 +112,15 @@ class OutputDigest:
         seq, log_ns, publish_ns: of the MCAP message.
 
     Attributes:
+        entry: of OpenIGTLink its channel, type, links and stamps.
         size: bytes of its payload.
 
     Raises LayoutError.
     """
 
     def __init__(self, message: Buffer, seq: int, log_ns: int, publish_ns: int) -> None:
-        self._entry = unpack_raw(message, seq, log_ns, publish_ns)
-        content = self._entry.data()
+        self.entry = unpack_raw(message, seq, log_ns, publish_ns)
+        content = self.entry.data()
         if len(content) != _DIGEST.size:
             raise LayoutError(f"digest: found {len(content)} bytes, expected {_DIGEST.size}")
         self.size, self.digest = _DIGEST.unpack(content)
@@ -121,7 +131,26 @@ class OutputDigest:
 
     def message(self, payload: bytes, kind: Kind) -> bytes:
         """The message of the output in a file that has all bytes."""
-        return RawPacker(self._entry).head(self._entry, payload) + payload if kind in WIRE_TOPICS else payload
+        return RawPacker(self.entry).head(self.entry, payload) + payload if kind in WIRE_TOPICS else payload
+
+
+class DigestedOutput(Entry):
+    """An output whose bytes are not at hand: as many zeros are in their place."""
+
+
+def digest_decoder(channel: Channel, kind: Kind) -> Callable[[Row, int], Entry]:
+    """What makes entries of the digests of a channel, without computing anything; it raises LayoutError."""
+    topic, ros_type = (channel.metadata.get(key, "") for key in (layout.DIGEST_TOPIC_KEY, layout.DIGEST_TYPE_KEY))
+
+    def decode(row: Row, seq: int) -> Entry:
+        _, _, log_ns, publish_ns, begin, end, data = row
+        digest = OutputDigest(memoryview(data)[begin:end], seq, log_ns, publish_ns)
+        found, payload = digest.entry, (bytes(min(digest.size, _MOST_ZEROS)),)
+        if kind in WIRE_TOPICS:
+            return DigestedOutput(seq, log_ns, kind, found.channel, found.type, payload, found.links, found.source_ns)
+        return DigestedOutput(seq, log_ns, kind, topic, ros_type, payload, (), found.source_ns)
+
+    return decode
 
 
 class NotComputed(DamagedRecording):

@@ -367,6 +367,21 @@ class SessionFile:
                     raise Malformed(f"found a message of channel {min(unknown)}, of which there is no record")
                 yield definitions, data, columns
 
+    @property
+    def has_digests(self) -> bool:
+        """Whether the digest stands for some outputs in the file."""
+        return self._derived is not None
+
+    def keep_missing(self) -> set[int]:
+        """From now on, outputs that cannot be computed are read as their digests; their numbers modulo 2³² are in this.
+
+        Those that another version could compute are not among them.
+        """
+        found: set[int] = set()
+        if self._derived:
+            self._derived.missing = found
+        return found
+
     def first_links(self, channel: ChannelSummary) -> tuple[int, ...]:
         """The links of the first message of one of ``channels``; () for ROS, or without any.  Raises as `entries`."""
         if channel.kind not in layout.WIRE_TOPICS:
@@ -657,7 +672,7 @@ class SessionParts(SessionFile):
         skipped: list[SkippedChannel] = []
         self.definitions, self._definitions = {}, FileDefinitions()
         self.entry_count = self.start_ns = self.end_ns = self._most_bytes = 0
-        self._is_sealed = False
+        self._is_sealed = self._has_digests = False
         shared: dict[str, str] = {}  # session metadata of all parts
         own = (layout.PART_KEY, layout.PREVIOUS_KEY)
         for path in sorted(part_files(folder), key=Path.is_symlink):
@@ -695,6 +710,7 @@ class SessionParts(SessionFile):
                 self.entry_count += part.entry_count
                 self._most_bytes += part.most_bytes
                 self._is_sealed = self._is_sealed or part.is_sealed
+                self._has_digests = self._has_digests or part.has_digests
         if not found:
             raise UnsupportedRecording(f"{folder}: found a directory, expected the .mcap file in it")
         with SessionFile.open(found[min(found)].path) as first:  # without one before it if the recording waited
@@ -813,6 +829,15 @@ class SessionParts(SessionFile):
         """Those of the last part."""
         with SessionFile.open(self.parts[-1].path) as part:
             return part.figures()
+
+    @property
+    def has_digests(self) -> bool:
+        """As SessionFile.has_digests, of any part."""
+        return self._has_digests
+
+    def keep_missing(self) -> set[int]:
+        """Nothing: a part is open only while it is read."""
+        return set()
 
     @property
     def is_sealed(self) -> bool:

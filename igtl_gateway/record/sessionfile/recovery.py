@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 from array import array
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from itertools import islice
 from pathlib import Path
@@ -28,6 +28,7 @@ from rosbags.highlevel import AnyReader
 from igtl_gateway.base.errors import DamagedRecording, GatewayError, LimitExceeded
 from igtl_gateway.base.version import __version__
 from igtl_gateway.record.sessionfile import facts, layout
+from igtl_gateway.record.sessionfile.chunks import batches
 from igtl_gateway.record.sessionfile.columns import Unfit
 from igtl_gateway.record.sessionfile.compression import Compression
 from igtl_gateway.record.sessionfile.copying import CopyWriter
@@ -71,6 +72,13 @@ class Recovery:
     goes_on: bool
 
 
+class _Missing(Exception):
+    """Digests of outputs that cannot be computed from what is left; ``numbers`` of the outputs, modulo 2³²."""
+
+    def __init__(self, numbers: set[int]) -> None:
+        self.numbers = numbers
+
+
 class _Disorder(Exception):
     """A message of a session is older than the one before it."""
 
@@ -97,7 +105,7 @@ def recover(
 
 def copy_readable(source: Path, place: Path) -> SalvageReport:
     """As :func:`recover`, but only our reader will read the new file: what it refuses is found when it does."""
-    return _recovered(source, place, lambda _: None, lambda _place, _file: iter(()), {}).report
+    return _recovered(source, place, lambda _: None, _check_digests, {}).report
 
 
 #: Reads the new file; yields which programs do not.
@@ -107,11 +115,17 @@ _Reads = Callable[[Path, Salvage], Iterator[str]]
 def _recovered(
     source: Path, place: Path, progress: Callable[[Salvage], None], check: _Reads, session: Mapping[str, str]
 ) -> Recovery:
-    try:
-        return _attempt(source, place, progress, check, session, in_turn=True)
-    except (_Disorder, LimitExceeded):
+    in_turn, without = True, frozenset[int]()
+    while True:
+        try:
+            return _attempt(source, place, progress, check, session, in_turn=in_turn, without=without)
+        except (_Disorder, LimitExceeded):
+            if not in_turn:
+                raise
+            in_turn = False
+        except _Missing as missing:
+            without |= missing.numbers
         place.unlink(missing_ok=True)
-    return _attempt(source, place, progress, check, session, in_turn=False)
 
 
 def _attempt(
@@ -122,8 +136,12 @@ def _attempt(
     session: Mapping[str, str],
     *,
     in_turn: bool,
+    without: Collection[int],
 ) -> Recovery:
-    """Copy messages in turn, or in order of time and not compressed, which takes more room but no limit refuses it."""
+    """Copy messages in turn, or in order of time and not compressed, which takes more room but no limit refuses it.
+
+    ``without``: numbers of outputs whose digests are left out.
+    """
     with Salvage.open(source) as file:
         compression: Compression = file.compression if in_turn else "none"
         items = file.recorded_session or ({} if file.foreign else dict(session))
@@ -132,10 +150,19 @@ def _attempt(
             if not file.has_header:
                 losses.append(_loss(HEADER, "not readable: which program wrote the file"))
             for found in _in_turn(file) if in_turn else _in_order(file, place.parent):
-                if isinstance(found, SalvagedChunk):
+                if isinstance(found, SalvagedChunk) and not without:
                     writer.write_chunk(found.definitions, found.chunk, found.data)
-                else:
-                    writer.write(*found)
+                    progress(file)
+                    continue
+                for schema, channel, message in _messages_of(found):
+                    if message.sequence in without and layout.DIGEST_KEY in channel.metadata:
+                        items = channel.metadata
+                        name = items.get(layout.STREAM_KEY) or items.get(layout.DIGEST_TOPIC_KEY, channel.topic)
+                        why = f"entry {message.sequence}, {name}: what is left of its input does not give its digest"
+                        file.report.add(_loss(NUMBER, why, file.position))
+                        file.report.messages -= 1
+                    else:
+                        writer.write(schema, channel, message)
                 progress(file)
             for loss in losses:
                 file.report.add(loss)
@@ -182,6 +209,16 @@ def _loss(what: str, text: str, at: int = 0) -> Loss:
 
 
 _Found = tuple[Schema | None, Channel, Message]
+
+
+def _messages_of(found: _Found | SalvagedChunk) -> Iterator[_Found]:
+    if not isinstance(found, SalvagedChunk):
+        yield found
+        return
+    definitions = {channel.id: (schema, channel) for schema, channel in found.definitions}
+    for rows in batches(found.data):
+        for number, sequence, time_ns, publish_ns, begin, end, data in rows:
+            yield *definitions[number], Message(number, time_ns, data[begin:end], publish_ns, sequence)
 
 
 def _in_turn(file: Salvage) -> Iterator[_Found | SalvagedChunk]:
@@ -315,6 +352,17 @@ def _read_through(file: SessionFile) -> None:
             columns.entry(row)
 
 
+def _check_digests(place: Path, _file: Salvage) -> Iterator[str]:
+    """Raise _Missing where outputs cannot be computed."""
+    with SessionFile.open(place) as again:
+        missing = again.keep_missing()
+        if again.has_digests:
+            _read_through(again)
+        if missing:
+            raise _Missing(missing)
+    return iter(())
+
+
 def _check(place: Path, file: Salvage) -> Iterator[str]:
     """Read the new file with every reader; yield why rosbags does not, which needs CDR and definitions of its own.
 
@@ -324,7 +372,10 @@ def _check(place: Path, file: Salvage) -> Iterator[str]:
         again.prologue()
         for _ in again.attachments():
             pass
+        missing = again.keep_missing()
         _read_through(again)
+        if missing:
+            raise _Missing(missing)
         damaged = again.damaged_indexes()
     reads_all = not file.report.whole or file.report.messages <= _READ_BY_ALL
     windows: list[tuple[int | None, int | None]] = [(None, None)]

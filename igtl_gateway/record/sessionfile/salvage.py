@@ -34,6 +34,7 @@ from igtl_gateway.record.sessionfile.compression import NAMES, Compression
 from igtl_gateway.record.sessionfile.contents import message_bound
 from igtl_gateway.record.sessionfile.damaged import DamagedFile, RecordSpan
 from igtl_gateway.record.sessionfile.index import not_mcap, read_summary
+from igtl_gateway.record.sessionfile.large_outputs import digest_decoder
 from igtl_gateway.record.sessionfile.layout import LayoutError
 from igtl_gateway.record.sessionfile.records import MAGIC, MESSAGE_HEAD, MESSAGE_RECORD, Malformed
 from igtl_gateway.record.sessionfile.salvage_report import (
@@ -249,7 +250,10 @@ class Salvage:
         channel, _ = self._channels[channel_id]
         schema, _ = self._schemas.get(channel.schema_id, (None, False))
         kind, _ = kind_of(channel, schema, self.foreign)
-        decode = decoder(kind, channel.topic, schema.name) if kind and schema else None
+        decode = None
+        if kind and schema:
+            digested = layout.DIGEST_KEY in channel.metadata
+            decode = digest_decoder(channel, kind) if digested else decoder(kind, channel.topic, schema.name)
         self._definitions[channel_id] = _Definition(channel, schema, kind, decode)
         return self._definitions[channel_id]
 

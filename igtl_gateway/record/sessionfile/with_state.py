@@ -108,6 +108,15 @@ class SessionWithState(SessionFile):
         """Those of the file itself; as SessionFile.all_columns."""
         return self.itself.all_columns()
 
+    @property
+    def has_digests(self) -> bool:
+        """As SessionFile.has_digests."""
+        return self.itself.has_digests
+
+    def keep_missing(self) -> set[int]:
+        """As SessionFile.keep_missing."""
+        return self.itself.keep_missing()
+
     def first_links(self, channel: ChannelSummary) -> tuple[int, ...]:
         """As SessionFile.first_links."""
         return (self.before if _key(channel) in self._latched else self.itself).first_links(channel)

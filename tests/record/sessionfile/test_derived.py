@@ -25,9 +25,18 @@ from igtl_gateway.convert.multi_arrays import MULTI_ARRAYS
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.columns import EntryColumns
-from igtl_gateway.record.sessionfile.large_outputs import LARGE_BYTES, LargeOutputs, NotComputed, Outputs
+from igtl_gateway.record.sessionfile.large_outputs import (
+    LARGE_BYTES,
+    DigestedOutput,
+    LargeOutputs,
+    NotComputed,
+    Outputs,
+)
 from igtl_gateway.record.sessionfile.lookup import LatchedStateRule
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.recovery import Recovery, copy_readable, recover
+from igtl_gateway.record.sessionfile.salvage import Salvage
+from igtl_gateway.record.sessionfile.salvage_report import SalvageReport
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.replay.content_figures import summary_of
 from igtl_gateway.testing.gateway import ManualGateway
@@ -325,3 +334,75 @@ def test_no_digest_is_larger_than_the_limit_of_memory(log: list[Entry], tmp_path
     ):
         for columns in file.columns():
             columns.wire()
+
+
+# -- what is left of a damaged file ------------------------------------------------------------------------------
+
+
+def damaged(path: Path, payload: bytes) -> None:
+    """Change one byte of a payload in a file without compression."""
+    data = bytearray(path.read_bytes())
+    at = data.index(payload)
+    data[at + len(payload) // 2] ^= 1
+    path.write_bytes(data)
+
+
+@table("kind, recovers", [(Kind.ROS_IN, recover), (Kind.ROS_IN, copy_readable)])
+def test_an_output_whose_input_is_damaged_is_named_as_lost(
+    log: list[Entry], tmp_path: Path, kind: Kind, recovers: Callable[[Path, Path], Recovery | SalvageReport]
+) -> None:
+    source, place = tmp_path / "damaged.mcap", tmp_path / "recovered.mcap"
+    written(source, log, "digest", compression="none")
+    lost = [entry for entry in log if is_picture(kind)(entry)][1]
+    damaged(source, lost.data())
+    found = recovers(source, place)
+    report = found if isinstance(found, SalvageReport) else found.report
+    with SessionFile.open(place) as file:
+        kept = plain(file.entries())
+        assert verify_session(file).good
+    assert kept == [each for each in plain(log) if each in kept]
+    assert lost.seq not in {each[0] for each in kept}
+    # the chunk ends with an input whose outputs are in the next one
+    named = [loss.text for loss in report.lost if "what is left of its input does not give its digest" in loss.text]
+    numbers = {int(text.split()[1].rstrip(",")) for text in named}
+    assert numbers and numbers.isdisjoint(each[0] for each in kept)
+    assert numbers <= {entry.seq for entry in large(log, outputs=True)}
+
+
+def test_where_a_link_is_lost_what_still_follows_is_kept(log: list[Entry], tmp_path: Path) -> None:
+    source, place = tmp_path / "damaged.mcap", tmp_path / "recovered.mcap"
+    written(source, log, "digest", compression="none")
+    damaged(source, b"127.0.0.1:50001")
+    report = recover(source, place).report
+    with SessionFile.open(place) as file:
+        kept = plain(file.entries())
+    assert kept == [each for each in plain(log) if each in kept]
+    assert Kind.ROS_OUT in {each[2] for each in kept[-40:]}
+    # nothing is sent without a link
+    sent = [entry for entry in large(log, outputs=True) if entry.kind is Kind.IGTL_OUT and entry.seq > kept[0][0]]  # type: ignore[operator]
+    for entry in sent:
+        assert any(loss.text.startswith(f"entry {entry.seq}, {entry.channel}: ") for loss in report.lost)
+
+
+def test_of_a_file_that_was_cut_off_all_outputs_before_are_there(log: list[Entry], tmp_path: Path) -> None:
+    source, place = tmp_path / "cut.mcap", tmp_path / "recovered.mcap"
+    written(source, log, "digest", compression="none")
+    source.write_bytes(source.read_bytes()[: source.stat().st_size * 2 // 3])
+    recover(source, place)
+    with SessionFile.open(place) as file:
+        kept = plain(file.entries())
+        assert len(kept) > len(log) // 2 and kept == plain(log)[: len(kept)]
+        assert verify_session(file).good
+
+
+def test_a_damaged_file_shows_the_streams_and_sizes_of_its_outputs(log: list[Entry], tmp_path: Path) -> None:
+    source = tmp_path / "cut.mcap"
+    written(source, log, "digest", compression="none")
+    source.write_bytes(source.read_bytes()[: source.stat().st_size - 40])
+    with Salvage.open(source) as file:
+        found = list(file.entries())
+    assert [(each.seq, each.kind, each.channel, each.type, each.size, each.links) for each in found] == [
+        (each.seq, each.kind, each.channel, each.type, each.size, each.links) for each in log
+    ]
+    unread = {each.seq for each in found if isinstance(each, DigestedOutput)}
+    assert unread and unread <= {each.seq for each in large(log, outputs=True)}
