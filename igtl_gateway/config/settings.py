@@ -522,9 +522,9 @@ _RECORDING = (
     ),
     Setting(
         "compression",
-        "lz4",
-        "compression of chunks; streams that do not shrink are stored uncompressed",
-        choices=("none", "lz4", "zstd"),
+        "auto",
+        "compression by stream: auto has zstd for pictures and lz4 for the rest; what does not shrink stays as it is",
+        choices=("auto", "none", "lz4", "zstd"),
         needs=("record",),
     ),
     Setting(

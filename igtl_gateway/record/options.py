@@ -42,8 +42,7 @@ class RecordOptions:
     """See the command line.
 
     Attributes:
-        compression: of the chunks; lz4 is for speed: large chunks of streams that do not shrink stay uncompressed;
-            zstd is for size: it compresses all.
+        compression: of the chunks; ``auto`` chooses by stream; see ``sessionfile.stream``.
         chunk_bytes: size of a chunk before compression.
         outputs: how large outputs are written: all bytes, the digest, or nothing.
         flush_s: interval between flushes: what SIGKILL of the recorder loses beside what waits in the queue.
@@ -65,7 +64,7 @@ class RecordOptions:
         retention: which recordings in the folder of this one are deleted; None: none.
     """
 
-    compression: Compression = "lz4"
+    compression: Compression = "auto"
     chunk_bytes: int = CHUNK_BYTES
     outputs: Outputs = "full"
     flush_s: float = FLUSH_S

@@ -85,7 +85,7 @@ def test_numbers() -> None:
 def test_texts_and_lists() -> None:
     assert _ROWS["deny_in"].check(["GET_*"]) == ("GET_*",)
     assert _ROWS["video_codec"].check("") == ""
-    with pytest.raises(ConfigError, match="found 'zip', expected one of none, lz4, zstd"):
+    with pytest.raises(ConfigError, match="found 'zip', expected one of auto, none, lz4, zstd"):
         _ROWS["compression"].check("zip")
     with pytest.raises(ConfigError, match="found 'A B', expected a type or a glob"):
         _ROWS["deny_in"].check(["GET_*", "A B"])

@@ -120,7 +120,7 @@ def read(path: Path) -> list[Entry]:
 # --- what is recorded ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("compression", ["lz4", "zstd", "none"])
+@pytest.mark.parametrize("compression", ["auto", "lz4", "zstd", "none"])
 def test_what_went_in_is_in_the_file(path: Path, compression: str) -> None:
     bench = Bench(path, compression=compression)
     entries = samples.every_kind(100)
@@ -155,7 +155,7 @@ def test_entries_after_the_end_are_counted_as_dropped(path: Path) -> None:
     assert bench.recorder.counters()["dropped"] == {"/chatter": 1}
 
 
-@pytest.mark.parametrize("compression", ["lz4", "zstd", "none"])
+@pytest.mark.parametrize("compression", ["auto", "lz4", "zstd", "none"])
 def test_equal_entries_give_equal_files(tmp_path: Path, compression: Compression) -> None:
     files = []
     for name in ("a", "b"):

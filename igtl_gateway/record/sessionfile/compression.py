@@ -12,15 +12,23 @@ from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.untrusted import unpack
 from igtl_gateway.record.sessionfile.records import Malformed, crc32
 
-Compression = Literal["lz4", "zstd", "none"]
+Compression = Literal["auto", "lz4", "zstd", "none"]
 COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
 
-#: Compression → its name in a chunk record.
+#: Compression → its name in a chunk record; ``auto`` has lz4 or zstd by chunk.
 NAMES: dict[Compression, Literal["lz4", "zstd", ""]] = {"lz4": "lz4", "zstd": "zstd", "none": ""}
-_PACKINGS: dict[str, unpack.Packing] = {name: name for name in NAMES.values()}
+_PACKINGS: dict[str, unpack.Packing] = {"lz4": "lz4", "zstd": "zstd", "": ""}
+#: How far back zstd looks for what repeats, as a power of two: over a picture of Full HD and its outputs.
+_WINDOW_LOG = 24
 
 
-def compress(compression: Compression, parts: Sequence[Buffer], size: int) -> Sequence[Buffer]:
+def picture_compressor(level: int) -> zstandard.ZstdCompressor:
+    """Zstd of this level, which finds a copy of a picture behind it; of one thread alone."""
+    params = zstandard.ZstdCompressionParameters.from_level(level, window_log=_WINDOW_LOG)
+    return zstandard.ZstdCompressor(compression_params=params)
+
+
+def compress(compression: str, parts: Sequence[Buffer], size: int) -> Sequence[Buffer]:
     """The parts of a chunk, ``size`` bytes together, as one compressed frame in pieces."""
     match compression:
         case "lz4":  # takes the parts one after the other: they are not joined for it

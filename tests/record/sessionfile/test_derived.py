@@ -239,7 +239,7 @@ def test_entries_are_those_that_were_written(both: Any, log: list[Entry]) -> Non
     full, digest = both
     assert plain(digest.entries()) == plain(log)
     saved = full.size - digest.size
-    assert saved > 0.3 * sum(entry.size for entry in large(log, outputs=True)), "zstd finds some of it alone"
+    assert saved > 0.2 * sum(entry.size for entry in large(log, outputs=True)), "zstd finds some of it alone"
 
 
 def test_other_programs_find_digests_on_topics_of_their_own(both: Any, log: list[Entry]) -> None:

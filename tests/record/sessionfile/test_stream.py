@@ -10,8 +10,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap.records import ChunkIndex
 
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.record.sessionfile.compression import Compression
 from igtl_gateway.record.sessionfile.stream import McapStream
+from tests.tables import table
 
 CHUNK_BYTES = 4096
 LARGE = 1024
@@ -19,23 +21,23 @@ _CHANCE = random.Random(1)
 NOISE, SAME = _CHANCE.randbytes(2 * LARGE), bytes(2 * LARGE)
 
 
-def chunks(messages: list[tuple[int, bytes]], compression: Compression) -> list[ChunkIndex]:
-    """Of a file of these messages (channel, data), which the library reads as they are."""
+def chunks(messages: list[tuple[int, bytes]], compression: Compression, step_ns: int = 100_000_000) -> list[ChunkIndex]:
+    """Of a file of these messages (channel, data), ``step_ns`` apart, which the library reads as they are."""
     file = BytesIO()
     stream = McapStream(file, chunk_bytes=CHUNK_BYTES, compression=compression)
     stream.start("", "")
     schema = stream.register_schema("S", "", b"")
-    for number in range(1, 3):
+    for number in range(1, 4):
         assert stream.register_channel(f"/{number}", "cdr", schema, {}) == number
     for number, (channel, data) in enumerate(messages):
         given = bytearray(data)
-        stream.add_message(channel, 100 + number, b"", memoryview(given), 5, number)
+        stream.add_message(channel, number * step_ns, b"", memoryview(given), 5, number)
         given[:] = bytes(len(given))  # the caller may do with it what he likes
     stream.finish()
     assert stream.size == len(file.getvalue())
     file.seek(0)
     read = [
-        (channel.id, bytes(message.data), message.log_time - 100, message.sequence)
+        (channel.id, bytes(message.data), message.log_time // step_ns, message.sequence)
         for _, channel, message in make_reader(file, validate_crcs=True).iter_messages(log_time_order=False)
     ]
     assert read == [(*message, number, number) for number, message in enumerate(messages)]
@@ -68,10 +70,58 @@ def test_each_stream_rests_for_itself() -> None:
 
 def test_a_large_message_ends_its_chunk_but_not_for_zstd() -> None:
     messages = [(2, b"small"), (1, NOISE), (1, NOISE)]
-    assert [len(chunks(messages, compression)) for compression in ("none", "lz4", "zstd")] == [2, 2, 1]
+    found: list[Compression] = ["none", "lz4", "zstd", "auto"]
+    assert [len(chunks(messages, compression)) for compression in found] == [2, 2, 1, 1]
 
 
-@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+def noise() -> bytes:
+    return _CHANCE.randbytes(2 * LARGE)
+
+
+@table("compression", ["auto", "zstd"])
+def test_of_an_input_and_its_equal_outputs_one_remains(compression: Compression) -> None:
+    pictures = [noise() for _ in range(200)]
+    found = chunks([(channel, each) for each in pictures for channel in (1, 2, 3)], compression)
+    assert {each.compression for each in found} == {"zstd"}
+    assert sum(each.compressed_size for each in found) < 1.1 * sum(map(len, pictures))
+    assert all(each.message_start_time // 100_000_000 % 3 == 0 for each in found), "a chunk begins with an input"
+
+
+@table("compression", ["auto", "zstd"])
+def test_what_becomes_a_quarter_smaller_is_compressed_and_what_does_not_is_not(compression: Compression) -> None:
+    """Few levels without any repetition: only the slower level of zstd makes them smaller (entropy: 4.6 of 8 bits)."""
+    levels = [(1, bytes(_CHANCE.choices(range(24), k=2 * LARGE))) for _ in range(99)]
+    found = chunks(levels, compression)
+    assert {each.compression for each in found} == {"zstd"}
+    assert sum(each.compressed_size for each in found) < 0.75 * 99 * 2 * LARGE
+    assert "zstd" not in dict(runs(chunks([(1, noise()) for _ in range(33)], compression)))
+
+
+def test_a_stream_is_stored_as_it_is_until_it_shrinks() -> None:
+    found = chunks([(1, noise()) for _ in range(40)] + [(2, b"small")] + [(1, SAME)] * 40, "auto")
+    assert found[0].compression == ""
+    assert found[-1].compression == "zstd"
+
+
+def test_beside_a_stream_that_shrinks_another_one_costs_no_more_than_itself() -> None:
+    found = chunks([each for _ in range(64) for each in ((1, noise()), (2, SAME), (3, b"small"))], "auto")
+    assert sum(each.compressed_size for each in found) < 1.1 * 64 * 2 * LARGE
+
+
+def test_auto_has_no_time_for_zstd_where_too_much_comes() -> None:
+    pictures = [(1, SAME)] * 40
+    assert {each.compression for each in chunks(pictures, "auto", step_ns=100_000_000)} == {"zstd"}
+    few_ns = NS_PER_S * 2 * LARGE // 80_000_000  # 80 MB a second
+    found = chunks([(1, SAME)] * 45_000, "auto", step_ns=few_ns)
+    assert runs(found)[-1][0] == "lz4"
+
+
+def test_equal_entries_give_equal_files() -> None:
+    messages = [(number % 3 + 1, noise() if number % 2 else SAME) for number in range(200)]
+    assert chunks(messages, "auto") == chunks(messages, "auto")
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd", "auto"])
 def test_any_sizes(compression: Compression) -> None:
     chance = random.Random(2)
     sizes = (0, 1, 30, 300, LARGE - 1, LARGE, CHUNK_BYTES, 3 * CHUNK_BYTES)
