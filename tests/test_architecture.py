@@ -89,6 +89,7 @@ STRANGERS = ("lab.demo",)
 #: Unit → another unit that it may use although its level is not lower.
 SIBLINGS: dict[str, str | tuple[str, ...]] = {
     TOP: ("api", "addons", "base"),  # the public names, imported at their first use; the version
+    "edges.ros": "edges.ros_interfaces",  # what has to be compiled before a node starts
     "lab.bench": "addons",  # a measuring program that speaks Zenoh
 }
 
@@ -115,7 +116,6 @@ HOMES: dict[str, tuple[str, ...]] = {
     "fcntl": (
         "base.systems.files",
         "edges.tcp.sockets",  # what a peer has not confirmed, of Linux
-        "edges.ros_interfaces.cache",
     ),
     "termios": ("cli.keys",),
     "msvcrt": ("cli.keys", "base.systems.files"),
@@ -231,8 +231,8 @@ ABSENT: dict[str, frozenset[str]] = {
     "time": frozenset("CLOCK_BOOTTIME CLOCK_MONOTONIC CLOCK_REALTIME clock_gettime clock_gettime_ns tzset".split()),
 }
 ABSENT_HOMES: dict[str, tuple[str, ...]] = {
-    "os": (SYSTEM, "cli.keys", "edges.ros.env", "base.realtime", "record.shared_queue"),
-    "signal": (SYSTEM,),
+    "os": (SYSTEM, "cli.keys", "edges.ros.env", "edges.ros_interfaces.build", "base.realtime", "record.shared_queue"),
+    "signal": (SYSTEM, "edges.ros_interfaces.build"),
     "socket": ("edges.tcp.sockets", "base.systems.service", "addons.resim.link"),
     "select": ("edges.tcp.lobby", "edges.tcp.sender"),
 }
@@ -243,8 +243,8 @@ DYNAMIC_IMPORTERS = ("edges.ros.middleware", "cli", "base.addons", "addon")
 
 #: Who may print or write to the standard streams: whatever else prints does it by ``cli.terminal``, which escapes.
 PRINTERS = ("cli.terminal",)
-#: Programs that report to our own process what they do, and one line of our own beside the work of a compiler.
-STREAM_WRITERS = (*PRINTERS, "lab.bench.programs", "edges.ros_interfaces.__main__", "edges.ros_interfaces.cache")
+#: Programs that report to our own process what they do, and the progress of a compiler, also in programs of others.
+STREAM_WRITERS = (*PRINTERS, "lab.bench.programs", "edges.ros_interfaces.__main__", "edges.ros_interfaces.progress")
 CLOCK_CALLS = frozenset({"now", "today", "utcnow"})
 
 #: Tests of no single module, relative to the folder of tests; a folder stands for all that is in it.

@@ -124,7 +124,10 @@ if not Path(sysconfig.get_path("include"), "Python.h").is_file():
 EOF
     )
     [ "${#packages[@]}" -eq 0 ] || apt "${packages[@]}" || true
-    if ! "$VENV/bin/python" -m igtl_gateway.edges.ros_interfaces >/dev/null; then
+    local code=0
+    "$VENV/bin/python" -m igtl_gateway.edges.ros_interfaces >/dev/null || code=$?
+    [ "$code" -ne 130 ] || exit 130 # Ctrl-C: the next make goes on here
+    if [ "$code" -ne 0 ]; then
         say "Going on without: programs and tests that import these packages will not run."
     fi
 }

@@ -103,6 +103,34 @@ def endings_held() -> Iterator[Callable[[], None]]:
 
 
 @contextmanager
+def endings_noted() -> Iterator[Callable[[], bool]]:
+    """Context manager: what asks a program to end is noted, and the value returns whether it came.
+
+    It is for work that looks often and tidies up by itself, whatever handlers the program has.  At the end of the block
+    the signal has its usual effect; KeyboardInterrupt is raised where its handler raises nothing.  Threads other than
+    the main one note nothing.
+    """
+    came: list[int] = []
+
+    def on_signal(number: int, _frame: Any) -> None:
+        came.append(number)
+
+    ours = threading.current_thread() is threading.main_thread()
+    usual = {number: signal.getsignal(number) for number in ENDINGS if ours}
+    before = {number: handler for number, handler in usual.items() if handler not in (None, signal.SIG_IGN)}
+    for number in before:
+        signal.signal(number, on_signal)
+    try:
+        yield lambda: bool(came)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if came:
+            signal.raise_signal(came[0])
+            raise KeyboardInterrupt
+
+
+@contextmanager
 def cpu_alarm(look: Callable[[], int], first_ns: int, again_ns: int) -> Iterator[None]:
     """Context manager: call a function in the main thread when the process has used CPU time; nothing in other threads.
 

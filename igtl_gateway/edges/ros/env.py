@@ -26,6 +26,7 @@ from pathlib import Path
 
 from igtl_gateway.base.systems import files
 from igtl_gateway.base.systems.malloc import tune_malloc
+from igtl_gateway.edges.ros_interfaces.cache import make_ready
 
 PROFILE = Path(__file__).with_name("fastdds_profile.xml")
 #: The same with quick acknowledgements, for a program that waits for each.
@@ -54,8 +55,9 @@ _ROOM_BYTES = 4 * _SEGMENT_BYTES
 
 
 def prepare_environment(lock_step: bool = False) -> list[str]:
-    """Apply both settings where the user has set none; call it before rclpy is imported.
+    """Compile missing message packages, and apply both settings where the user has set none.
 
+    Call it before rclpy is imported, and before anything waits for messages: the first start takes up to a minute.
     Changes ``os.environ`` (child processes inherit the profile) and this process's allocator.
 
     Args:
@@ -64,7 +66,10 @@ def prepare_environment(lock_step: bool = False) -> list[str]:
     Returns:
         One line of text for each setting: what was applied, or what was kept and why; one more if memory of killed
         processes was freed.
+
+    Raises KeyboardInterrupt if the compilation was interrupted.
     """
+    make_ready()
     freed = free_shared_memory(_SHARED_MEMORY)
     lines = [_set_profile(LOCK_STEP_PROFILE if lock_step else PROFILE), tune_malloc()]
     return [*lines, f"shared memory: freed {freed >> 20} MiB of killed processes"] if freed else lines

@@ -6,7 +6,7 @@ TrackingData``.  Strategy:
 * ``python/`` contains a stand-in for each package.  A ``.pth`` file adds this folder to the end of ``sys.path``, so a
   real installation of the same package takes precedence.
 * When a stand-in is imported, it sets its ``__path__`` to the compiled package (:mod:`.cache`).  The package is
-  compiled at its first import, once for the environment (:mod:`.build`, in a separate process).
+  compiled before the first node starts, or at its first import, once for the environment (:mod:`.compiling`).
 * The definitions of ``igtl_msgs`` are those of ``ros2/igtl_msgs`` in the source tree, which colcon builds for an
   ordinary ROS 2 installation.  The others are in ``igtl_gateway/convert/interfaces``.
 

@@ -20,15 +20,17 @@ from igtl_gateway.edges.ros_interfaces.cache import (
     LIBRARIES,
     VERSIONS,
     cache_folders,
-    compile_package,
+    compile_missing,
+    is_installed,
     package_path,
     prefix_of,
     ros_versions,
     wheels_folder,
 )
+from igtl_gateway.edges.ros_interfaces.compiling import compile_package
 
-#: In a checkout, those that are imported are of the installed package, and not these.
-_STAND_INS = Path(__file__).parent / "python"
+#: Exit code after Ctrl-C, as a shell has it.
+_INTERRUPTED = 130
 
 
 def main() -> int:
@@ -39,17 +41,19 @@ def main() -> int:
     if sys.argv[1:] == ["--remove"]:
         remove_compiled()
         return 0
-    failed = False
+    failed: dict[str, None] = {}
+    with suppress(ImportError):  # the reason comes below
+        compile_missing()
     for package in PACKAGES:
-        real = find_spec(package)
         try:
-            if real and real.origin and Path(real.origin).parents[1].parts[-3:] != _STAND_INS.parts[-3:]:
-                sys.stdout.write(f"{package}: {Path(real.origin).parent} (installed)\n")
+            if is_installed(package):
+                real = find_spec(package)
+                sys.stdout.write(f"{package}: {Path(str(real and real.origin)).parent} (installed)\n")
             else:
                 sys.stdout.write(f"{package}: {package_path(package)[0]}\n")
         except ImportError as error:
-            sys.stderr.write(f"{error}\n")
-            failed = True
+            failed[str(error)] = None
+    sys.stderr.writelines(f"{line}\n" for line in failed)
     return 1 if failed else 0
 
 
@@ -68,11 +72,14 @@ def compile_ahead(folder: Path) -> None:
     for package in PACKAGES:
         wheels = wheels_folder(package)
         with tempfile.TemporaryDirectory() as temporary:
-            work = Path(temporary) / "work"
+            work = Path(temporary)
             compile_package(package, prefix_of(wheels), work, f"$ORIGIN/{LIBRARIES}")
             (work / "result" / package).rename(folder / package)
         (folder / VERSIONS).write_text(json.dumps(ros_versions(wheels), indent=1) + "\n", "utf-8")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        sys.exit(_INTERRUPTED)

@@ -2,6 +2,10 @@
 
     python -P build.py PACKAGE DEFINITIONS PREFIX WORK [LIBRARIES]    writes WORK/result/PACKAGE
 
+WORK is an empty folder.  The standard output has a line for each part of the work that is done: the share of the whole,
+0 to 1.  When the standard input ends, because the program that has started this one was killed, or with SIGTERM, it
+ends with all that it has started, and removes WORK.
+
 LIBRARIES is the folder of the libraries of the ROS wheels as the extension looks for it (default: PREFIX/lib);
 ``$ORIGIN`` is its own folder.  The result does not depend on the folders PREFIX and WORK otherwise.
 
@@ -18,11 +22,13 @@ import multiprocessing
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import sysconfig
+import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,6 +57,32 @@ _LIBRARIES = (
 )
 
 _DISPATCH = Path(__file__).with_name("dispatch.h")
+
+#: Shares of the whole that are done when the definitions are read, and when all code is generated; measured.
+_READ, _GENERATED = 0.12, 0.53
+#: End of the name of a unit → seconds that it takes, and of all others; measured.
+_UNIT_S = {"__type_support_c.cpp": 7.0, "all_s.c": 3.8, "all__functions.c": 3.2, "all__type_support.c": 1.5}
+_OTHER_UNIT_S = 0.25
+#: Time that compilers have to end, before the work folder is removed.
+_END_S = 0.2
+
+
+class _Report:
+    """Tells the program that has started this one what share of the work is done."""
+
+    def __init__(self) -> None:
+        self._handle = os.dup(1)
+        os.dup2(2, 1)  # the generators print
+        self._done = 0.0
+        self._lock = threading.Lock()
+
+    def at(self, share: float) -> None:
+        with self._lock:
+            self._done = max(self._done, share)
+            os.write(self._handle, b"%.4f\n" % self._done)
+
+    def add(self, share: float) -> None:
+        self.at(self._done + share)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +141,7 @@ class Package:
         return str(path)
 
 
-def generate(package: Package) -> None:
+def generate(package: Package, report: _Report) -> None:
     """Generate all C, C++ and Python code of the package, below ``package.generated``."""
     import rosidl_parser.parser
 
@@ -121,6 +153,7 @@ def generate(package: Package) -> None:
     for interface in package.interfaces:
         package.idl(interface).parent.mkdir(parents=True, exist_ok=True)
         convert_to_idl(package.definitions, package.name, interface, package.generated)
+    report.at(_READ / 3)
     share = package.prefix / "share"
     others = [f"{path.name}:{path}" for path in share.iterdir() if path.name != package.name]
     generate_type_hash(package.arguments("type_hash", include_paths=others))
@@ -132,9 +165,13 @@ def generate(package: Package) -> None:
             text = text.replace("@PROJECT_NAME@", package.name).replace("@PROJECT_NAME_UPPER@", package.name.upper())
             (package.generated / kind / header).write_text(text)
     # Processes, because generators have global state; forked, so that they inherit the parsed files.
+    report.at(_READ)
     context = multiprocessing.get_context("fork")
-    with context.Pool(os.cpu_count()) as pool:
-        pool.starmap(_generate, [(package, name) for name in _GENERATORS], chunksize=1)
+    # No multiprocessing.Pool: its end kills workers, and one that still holds the lock of the results blocks it.
+    with ProcessPoolExecutor(os.cpu_count(), context) as pool:
+        for job in as_completed([pool.submit(_generate, package, name) for name in _GENERATORS]):
+            job.result()
+            report.add((_GENERATED - _READ) / len(_GENERATORS))
     (package.generated / "__init__.py").touch()
     (package.generated / "dispatch.c").write_text(_dispatch(package))
 
@@ -210,7 +247,7 @@ def _dispatch(package: Package) -> str:
     return "\n".join([*lines, ""])
 
 
-def compile_extension(package: Package) -> Path:
+def compile_extension(package: Package, report: _Report) -> Path:
     """Compile the generated code, and return the path of the extension."""
     import numpy as np
 
@@ -219,8 +256,16 @@ def compile_extension(package: Package) -> Path:
     folders = [package.generated.parent, package.introspection.parent, *outside]
     maps = [f"-ffile-prefix-map={package.work}=.", f"-ffile-prefix-map={package.prefix}=."]
     options = ["-O1", "-fPIC", *maps, *(f"-I{folder}" for folder in folders if folder.is_dir())]
+    units = _units(package)
+    part = (1 - _GENERATED) / sum(map(_cost, units))
+
+    def compile_unit(source: Path) -> Path:
+        compiled = _compile(source, options)
+        report.add(part * _cost(source))
+        return compiled
+
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        objects = list(pool.map(lambda source: _compile(source, options), _units(package)))
+        objects = list(pool.map(compile_unit, units))
     extension = package.generated / f"{package.name}_s__rosidl_typesupport_c.so"
     libraries = [package.prefix / "lib" / f"lib{name}.so" for name in _LIBRARIES]
     for name in sorted(_needed(package)):
@@ -253,6 +298,10 @@ def _units(package: Package) -> list[Path]:
     return sorted(units, key=lambda unit: unit.suffix != ".cpp")
 
 
+def _cost(unit: Path) -> float:
+    return next((seconds for end, seconds in _UNIT_S.items() if unit.name.endswith(end)), _OTHER_UNIT_S)
+
+
 def _compile(source: Path, options: list[str]) -> Path:
     compiler = ["gcc", "-std=gnu11"] if source.suffix == ".c" else ["g++", "-std=c++17"]
     compiled = source.with_suffix(f"{source.suffix}.o")
@@ -282,9 +331,10 @@ def main(arguments: list[str]) -> None:
     interfaces = tuple(path.relative_to(folder) for path in files)
     (place,) = libraries or [f"{prefix}/lib"]
     package = Package(name, folder, Path(prefix), Path(work), place, interfaces)
-    package.work.mkdir(parents=True)
-    generate(package)
-    extension = compile_extension(package)
+    report = _Report()
+    _end_with_parent(package.work)
+    generate(package, report)
+    extension = compile_extension(package, report)
     result = package.work / "result" / name
     for kind in package.kinds:
         (result / kind).mkdir(parents=True)
@@ -292,6 +342,39 @@ def main(arguments: list[str]) -> None:
             shutil.copy(path, result / kind)
     shutil.copy(package.generated / "__init__.py", result)
     shutil.copy(extension, result)
+    for path in result.rglob("*.*"):  # a rename of the folder may reach the disk before them
+        _sync(path)
+
+
+def _sync(path: Path) -> None:
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
+
+
+def _end_with_parent(work: Path) -> None:
+    """Leave nothing behind if the program that has started this one is gone."""
+    own, is_ending = os.getpid(), threading.Event()
+
+    def on_signal(_number: int, _frame: Any) -> None:
+        if os.getpid() != own:  # a process that generates code
+            os._exit(1)
+        if not is_ending.is_set():  # else it comes from below
+            threading.Thread(target=leave, daemon=True).start()
+
+    def leave() -> None:
+        is_ending.set()
+        os.killpg(own, signal.SIGTERM)
+        threading.Event().wait(_END_S)
+        shutil.rmtree(work, ignore_errors=True)
+        os.killpg(own, signal.SIGKILL)
+
+    def watch() -> None:
+        while os.read(0, 1):
+            pass
+        leave()
+
+    signal.signal(signal.SIGTERM, on_signal)
+    threading.Thread(target=watch, daemon=True).start()
 
 
 if __name__ == "__main__":

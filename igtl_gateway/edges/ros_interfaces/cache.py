@@ -1,14 +1,14 @@
 """Cache of compiled packages, stored with the environment that they are compiled for.
 
-A compiled wheel has the packages compiled ahead (:mod:`.ahead`); the cache is for all other installations.
+A compiled wheel has the packages compiled ahead (``--ahead`` of :mod:`.__main__`); the cache is for all other
+installations.
 
 ``ROOT/KEY/PACKAGE`` is a compiled package.  The key is a hash of everything that the package depends on, so an existing
 package is always up to date.  ROOT is in the environment itself, or in the user's cache folder if the environment is
-not writable.
+not writable or its disk is full.
 
-Many processes can import a package for the first time at once: one compiles it under a lock, and the others wait.
-It compiles in a work folder and renames the result at the end, so an existing package is complete, even if the process
-is killed.
+A program with a ROS side compiles all packages before it starts (:func:`make_ready`), so that nothing is compiled while
+messages pass.  Any other program compiles a package at its first import.  :mod:`.compiling` does it.
 """
 
 from __future__ import annotations
@@ -16,25 +16,26 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shutil
-import subprocess
 import sys
 import sysconfig
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
 from igtl_gateway.base.extras import missing
-from igtl_gateway.base.versions import add_note, python_command
-from igtl_gateway.convert.interfaces import definition_folder, interface_files
+from igtl_gateway.convert.interfaces import PACKAGES, definition_folder, interface_files
+from igtl_gateway.edges.ros_interfaces.compiling import BUILD, compile_packages
+from igtl_gateway.edges.ros_interfaces.progress import write_line
 
-_BUILD = Path(__file__).with_name("build.py")
-_SOURCES = (_BUILD, _BUILD.with_name("dispatch.h"))
+_SOURCES = (BUILD, BUILD.with_name("dispatch.h"))
+#: In a checkout, those that are imported are of the installed package, and not these.
+_STAND_INS = Path(__file__).parent / "python"
 #: A module of the ROS wheels.  Only with them packages are compiled: a sourced ROS 2 has colcon for this.
 _WHEEL_MODULE = "ros_wheels_bootstrapper"
 #: One of the code generators, to find the folder of the wheels.
 _GENERATOR = "rosidl_generator_py"
+#: Packages that could not be compiled before the node of this process started: it does not try again while it runs.
+_FAILED: set[str] = set()
 
 
 #: Packages that are compiled ahead, in a compiled wheel: their users need no compiler, and do not wait for one.
@@ -93,34 +94,83 @@ def cache_folders() -> list[Path]:
     ]
 
 
+def make_ready() -> None:
+    """Compile all packages that are missing, before a node starts; a line names those that cannot be compiled.
+
+    Nothing is compiled with a sourced ROS 2, or without ROS.
+
+    Raises:
+        KeyboardInterrupt: it was interrupted, and nothing half-made is left.
+    """
+    try:
+        compile_missing()
+    except ImportError as error:
+        write_line(f"igtl-gateway: {error}; messages of these packages do not pass.")
+
+
+def compile_missing() -> None:
+    """Compile all packages that are missing.
+
+    Raises:
+        ImportError, KeyboardInterrupt: as in :func:`package_path` and :func:`make_ready`.
+    """
+    packages = missing_packages()
+    if not packages:
+        return
+    try:
+        _compile(packages, cache_folders())
+    except ImportError:
+        _FAILED.update(packages)
+        raise
+
+
+def missing_packages() -> list[str]:
+    """Return the packages that are to be compiled here."""
+    if find_spec(_WHEEL_MODULE) is None:
+        return []
+    folders = cache_folders()
+    return [package for package in PACKAGES if not is_installed(package) and find(package, folders) is None]
+
+
+def is_installed(package: str) -> bool:
+    """Return whether another installation of a package than its stand-in is imported."""
+    found = find_spec(package)
+    return bool(found and found.origin and Path(found.origin).parents[1].parts[-3:] != _STAND_INS.parts[-3:])
+
+
 def compiled(package: str, folders: Sequence[Path]) -> Path:
-    """Return the folder of the compiled ``package``: an existing one, or a new one in the first writable folder.
+    """Return the folder of the compiled ``package``: an existing one, or a new one.
 
     Raises:
         ImportError: as in :func:`package_path`.
     """
+    if found := find(package, folders):
+        return found
+    if package in _FAILED:
+        raise ImportError(f"{package} is not compiled, for the reason above", name=package)
+    return _compile([package], folders) / _place(package)
+
+
+def find(package: str, folders: Sequence[Path]) -> Path | None:
+    """Return the folder of the compiled ``package``; None if it is not compiled yet.
+
+    Raises:
+        ImportError: without the ROS wheels.
+    """
     wheels = wheels_folder(package)
     if ahead := compiled_ahead(package, wheels, prefix_of(wheels)):
         return ahead
-    path = Path(_key(package, wheels)) / package
-    found = next((folder / path for folder in folders if (folder / path).is_dir()), None)
-    if found:
-        return found
-    _check_compiler(package)
-    root = next((folder for folder in folders if _is_writable(folder)), None)
-    if root is None:
-        places = " nor ".join(map(str, folders))
-        raise ImportError(f"{package} must be compiled once, but neither {places} is writable", name=package)
-    with _locked(root / f"{package}.lock") as lock:
-        if not (root / path).is_dir():
-            # The lock excludes other processes, so an existing work folder is from a process that was killed.
-            work = root / f"{package}.work"
-            shutil.rmtree(work, ignore_errors=True)
-            compile_package(package, prefix_of(wheels), work, pass_fds=[lock])
-            (root / path).parent.mkdir(exist_ok=True)
-            (work / "result" / package).rename(root / path)
-            shutil.rmtree(work)
-    return root / path
+    place = _place(package)
+    return next((folder / place for folder in folders if (folder / place).is_dir()), None)
+
+
+def _compile(packages: Sequence[str], folders: Sequence[Path]) -> Path:
+    prefix = prefix_of(wheels_folder(packages[0]))
+    return compile_packages({package: _place(package) for package in packages}, folders, prefix)
+
+
+def _place(package: str) -> Path:
+    return Path(_key(package, wheels_folder(package))) / package
 
 
 def wheels_folder(package: str) -> Path:
@@ -149,73 +199,3 @@ def _key(package: str, wheels: Path) -> str:
     for path in [*_SOURCES, *interface_files(package)]:
         parts += [path.name, path.read_bytes()]
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
-
-
-def _check_compiler(package: str) -> None:
-    python = f"python{sys.version_info.major}.{sys.version_info.minor}"
-    missing = [(name, "g++") for name in ("gcc", "g++") if not shutil.which(name)]
-    if not (Path(sysconfig.get_path("include")) / "Python.h").is_file():
-        missing.append(("Python.h", f"{python}-dev"))
-    if missing:
-        names = " and ".join(name for name, _ in missing)
-        advice = " ".join(dict.fromkeys(debian for _, debian in missing))
-        raise ImportError(
-            f"{package} must be compiled once, but there is no {names} (Debian and Ubuntu: apt install {advice})",
-            name=package,
-        )
-
-
-def _is_writable(folder: Path) -> bool:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return False
-    return os.access(folder, os.W_OK)
-
-
-@contextmanager
-def _locked(path: Path) -> Iterator[int]:
-    """Lock the file against other processes; the kernel releases the lock when the last descriptor is closed."""
-    with path.open("w") as file:
-        if sys.platform != "win32":  # for which there are no ROS wheels
-            import fcntl
-
-            fcntl.flock(file, fcntl.LOCK_EX)
-        yield file.fileno()
-
-
-def compile_package(
-    package: str, prefix: Path, work: Path, libraries: str = "", pass_fds: Collection[int] = ()
-) -> None:
-    """Compile to ``work/result/PACKAGE`` in a separate process: the generators print and have global state.
-
-    Args:
-        package: name of the package.
-        prefix: folder with ``share``, ``include`` and ``lib`` of the wheels.
-        work: folder for all files; it must not exist.
-        libraries: as in :mod:`.build`.
-        pass_fds: what the process inherits.  With the lock, no other process may use the same work folder if this
-            one is killed.
-
-    Raises:
-        ImportError: as in :func:`package_path`; a note has the output of the process.
-    """
-    sys.stderr.write(f"{package}: compiling, once for this environment ...\n")
-    # -P: modules must not be imported from the folder of build.py
-    command: list[str | Path] = [*python_command(_BUILD), package, definition_folder(package), prefix, work]
-    if libraries:
-        command.append(libraries)
-    run = subprocess.run(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        check=False,
-        pass_fds=pass_fds,
-    )
-    if run.returncode:
-        output = run.stdout.decode(errors="replace").strip()
-        reason = output.rpartition("\n")[2] or f"exit code {run.returncode}"
-        error = ImportError(f"{package} could not be compiled: {reason}", name=package)
-        add_note(error, output)
-        raise error

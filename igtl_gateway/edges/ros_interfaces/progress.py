@@ -1,0 +1,103 @@
+"""What the standard error shows while packages are compiled: on a terminal a bar, elsewhere a line now and then."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from collections.abc import Mapping
+
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.stamp import NS_PER_S
+
+_CLEAR = "\r\x1b[K"
+_BAR = 20
+#: Seconds between two lines where no terminal shows a bar.
+_LINE_EACH_S = 10
+#: Below it an estimate has single seconds.
+_FINE_S = 15
+#: From this part of the work on, its own speed is the better estimate.
+_KNOWN = 0.1
+#: Packages that can be compiled at once with profit, and how much longer it takes beside other programs.
+_PROCESSORS, _BUSY = 3, 1.5
+
+
+def write_line(text: str) -> None:
+    """Write a line to the standard error; nothing where that is closed."""
+    _write(f"{text}\n")
+
+
+class Progress:
+    """The bar, and the estimate of what is left.
+
+    Args:
+        costs: package → the seconds of CPU time that it takes.
+        at_once: number of packages that are compiled at once.
+        clock: measures the time.
+    """
+
+    def __init__(self, costs: Mapping[str, float], at_once: int, clock: Clock) -> None:
+        self._costs = costs
+        self._clock = clock
+        self._begun_ns = self._shown_ns = clock.monotonic_ns()
+        self._whole = sum(costs.values())
+        self._expected_s = self._whole / min(at_once, _PROCESSORS) * _BUSY
+        self._shares = dict.fromkeys(costs, 0.0)
+        self._until_s = self._expected_s
+        self._is_live = _has_cursor()
+        number = len(costs)
+        packages = "package" if number == 1 else "packages"
+        write_line(f"First start: compiling {number} ROS message {packages}, once for this environment.")
+        if not self._is_live:
+            write_line(self._text())
+
+    @property
+    def elapsed_s(self) -> float:
+        return (self._clock.monotonic_ns() - self._begun_ns) / NS_PER_S
+
+    def show(self, package: str, share: float) -> None:
+        """Show that this share of a package, 0 to 1, is done; call it often, because time passes too."""
+        if share > self._shares[package]:
+            self._shares[package] = share
+            if self._done >= _KNOWN:
+                self._until_s = self.elapsed_s / self._done
+        if self._is_live:
+            _write(f"{_CLEAR}{self._text()[: shutil.get_terminal_size().columns - 1]}")
+            return
+        now_ns = self._clock.monotonic_ns()
+        if now_ns - self._shown_ns >= _LINE_EACH_S * NS_PER_S:
+            self._shown_ns = now_ns
+            write_line(self._text())
+
+    def close(self) -> None:
+        """Take the bar away."""
+        if self._is_live:
+            _write(_CLEAR)
+
+    @property
+    def _done(self) -> float:
+        return sum(self._costs[package] * share for package, share in self._shares.items()) / self._whole
+
+    def _text(self) -> str:
+        done = self._done
+        filled = int(done * _BAR)
+        bar = ("=" * filled + ">" * (filled < _BAR)).ljust(_BAR)
+        return f"compiling ROS messages [{bar}] {done:4.0%}, {self._left()}"
+
+    def _left(self) -> str:
+        """The estimate: by the speed so far, or, at the beginning, by that of other machines."""
+        left_s = self._until_s - self.elapsed_s
+        step = 5 if left_s > _FINE_S else 1
+        return f"about {step * max(1, round(left_s / step))} s left"
+
+
+def _has_cursor() -> bool:
+    return sys.stderr is not None and sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+
+
+def _write(text: str) -> None:
+    try:
+        sys.stderr.write(text)
+        sys.stderr.flush()
+    except (AttributeError, OSError, ValueError):  # there is none, or nothing reads it
+        return
