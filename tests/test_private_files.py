@@ -31,7 +31,10 @@ EXCEPTIONS: dict[str, tuple[frozenset[str], str]] = {
     "addons/view/stream.py": (frozenset({"os.open", "open"}), "its mode is 0600; rerun opens it by its name"),
     "record/shared_queue.py": (frozenset({"memfd_create"}), "memory without a name"),
     "cli/terminal.py": (frozenset({"open"}), "the null device"),
-    "edges/ros_interfaces/compiling.py": (frozenset({"mkdir", "os.open", "mkdtemp"}), "compiled message types: no data"),
+    "edges/ros_interfaces/compiling.py": (
+        frozenset({"mkdir", "os.open", "mkdtemp"}),
+        "compiled message types: no data",
+    ),
     "edges/ros_interfaces/build.py": (
         frozenset({"write_text", "mkdir", "touch", "copy"}),
         "compiled message types: no data of a session",

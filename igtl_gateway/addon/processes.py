@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from igtl_gateway.base.systems.processes import usable_cpus as usable_cpus
     from igtl_gateway.base.systems.signals import endings_held as endings_held
     from igtl_gateway.base.systems.signals import ignore_endings as ignore_endings
+    from igtl_gateway.edges.ros_interfaces.cache import make_ready as make_ready
 
 HOMES: Homes = (
     # Extras and other add-ons
@@ -36,6 +37,8 @@ HOMES: Homes = (
     ("base.child", "Child report_facts"),
     ("base.systems.processes", "KILL end_session is_program limit_data stand_back ticks_per_second usable_cpus"),
     ("base.systems.signals", "endings_held ignore_endings"),
+    # What programs of ROS need, before they start
+    ("edges.ros_interfaces.cache", "make_ready"),
     # Once in a process, and threads that outlive it
     ("base.once", "Once"),
     ("base.systems.leaving", "expect_threads_of"),

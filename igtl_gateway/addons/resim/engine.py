@@ -20,7 +20,7 @@ from enum import Enum
 from pathlib import Path
 
 from igtl_gateway.addon import ConfigError, SystemClock, did_you_mean, matches, near_names, unmatched, without_match
-from igtl_gateway.addon.processes import endings_held
+from igtl_gateway.addon.processes import endings_held, make_ready
 from igtl_gateway.addon.reading import SessionFile
 from igtl_gateway.addons.resim.coordinator import Coordinator, Lost, Peer, ProgramFault, Roles
 from igtl_gateway.addons.resim.frames import ABI_VERSION, DEADLINE, INPUT, NEVER, Hello, Remark, welcome
@@ -252,6 +252,8 @@ def run(
         if middleware != _MIDDLEWARE and not program.igtl:
             raise ConfigError(f"{program.title}: found RMW_IMPLEMENTATION={middleware}, expected {_MIDDLEWARE}")
     library = library_path()
+    if not all(program.igtl for program in programs):
+        make_ready()  # else a program would compile during the session
     replaced: dict[int, RecordedLink] = {}
     if any(program.igtl for program in programs):
         if options.clocks is Clocks.REAL:

@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 if sys.platform == "win32":
@@ -126,8 +126,9 @@ def endings_noted() -> Iterator[Callable[[], bool]]:
         for number, handler in before.items():
             signal.signal(number, handler)
         if came:
-            signal.raise_signal(came[0])
-            raise KeyboardInterrupt
+            with suppress(KeyboardInterrupt):
+                signal.raise_signal(came[0])
+            raise KeyboardInterrupt from None  # one traceback, also if the work has raised it
 
 
 @contextmanager

@@ -23,6 +23,7 @@ from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.next_steps import command, print_next
 from igtl_gateway.cli.options import default
 from igtl_gateway.cli.terminal import print_line
+from igtl_gateway.edges.ros_interfaces.cache import make_ready
 from igtl_gateway_lab.programs import Event, EventProgram
 
 EXAMPLES = """\
@@ -62,6 +63,7 @@ def run(options: argparse.Namespace) -> int:
         options.keep.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise GatewayError(f"--keep {options.keep}: {error.strerror or error}, expected a writable directory") from None
+    make_ready()  # its programs wait for each other, and a terminal shows the progress
     return _demo(options.keep / "demo.mcap", options.seconds)
 
 

@@ -20,6 +20,7 @@ from igtl_gateway.cli.common import count_text, size_text, stop_event
 from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT
 from igtl_gateway.cli.terminal import clear_live_line, flush_outputs, is_terminal, live_line, print_json, print_line
 from igtl_gateway.edges.ros.env import prepare_environment
+from igtl_gateway.edges.ros_interfaces.cache import make_ready
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.verify import DeclaredLosses, verify
@@ -86,6 +87,8 @@ def _check(options: argparse.Namespace, side: ActorProtocol | None, own_bridge: 
         raise ConfigError(f"--side {options.side}: {options.name} has no actors of that side")
     if any(actor.side is ActorProtocol.ROS for actor in actors) and importlib.util.find_spec("rclpy") is None:
         raise Unavailable(f"{missing('rclpy')}; -o FILE plays offline, without ROS")
+    if own_bridge or any(actor.side is ActorProtocol.ROS for actor in actors):
+        make_ready()  # its programs wait for each other, and a terminal shows the progress
 
 
 def _limits_s(options: argparse.Namespace, scenario: Scenario) -> tuple[float, float]:
