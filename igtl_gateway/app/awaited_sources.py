@@ -76,7 +76,7 @@ class AwaitedSources:
             self._note(each)
 
     def _there(self, absent: dict[ExpectedSource, MissingSource], present: PresentSources) -> None:
-        """Take those that are there now; who cannot be seen to leave is not looked for any more."""
+        """Take those that are there now; one whose leaving does not show is not looked for any more."""
         for source in self._expected:
             if source in absent or present.names(source.kind) is None:
                 continue

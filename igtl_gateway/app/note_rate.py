@@ -4,7 +4,7 @@ The recording has all of them, and the counts of the messages are in the ledger 
 
 A peer can cause a note with each of its messages, and a timer one with each turn.  So what only drives the gateway is
 not reported.  The same note is reported at once; while it repeats, after a second, ten seconds, and so on up to ten
-minutes, with the number of those in between; after a minute of silence it is new.  What happens anew each time, such as
+minutes, with the number of those in between; after a minute of silence it is new.  What happens each time, such as
 a mark, is reported each second.  All notes of one code together are limited: what is above the limit is reported once a
 second, too, by the latest of them.
 """

@@ -41,7 +41,7 @@ _ABSENT: dict[SourceKind, str] = {
 }
 #: Kinds whose sources come from peers.
 OF_PEERS = frozenset({"device", "stream"})
-#: Kinds whose sources can be seen to leave: the others are known by what has come from them.
+#: Kinds whose sources leave visibly: the others are known by what has come from them.
 LEAVING = frozenset({"topic", "arm", "link"})
 
 _WILD = "*?"

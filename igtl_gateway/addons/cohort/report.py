@@ -181,7 +181,7 @@ _LATENCIES = ("least_ms", "jitter_ms", "spread_ms")
 
 
 def _milliseconds(value: float | None) -> str | None:
-    """Return a time for a person; that of another clock is none."""
+    """Return a time for a person; one of another clock is left out."""
     if value is None:
         return None
     if abs(value) >= _OTHER_CLOCK_MS:

@@ -22,7 +22,7 @@ UTC = pa.timestamp("ns", tz="UTC")
 #: First columns → their names here.
 _HEAD = {"time_ns": "time", "source_ns": "source_time"}
 _STAMP = "builtin_interfaces/msg/Time"
-#: Field of an OpenIGTLink message that ends as stamps do and is none.
+#: Field of an OpenIGTLink message that ends as stamps do and is another thing.
 _DURATIONS = frozenset({"resolution_ns"})
 _STRANGE = re.compile(r"[^A-Za-z0-9_]+")
 #: Words that cannot be the name of a column in DuckDB, PostgreSQL or SQLite.
@@ -74,7 +74,7 @@ class DatabaseColumns:
     """The columns of one stream.
 
     Args:
-        stamps: names in CSV of the fields that are stamps; None: every field whose unit is ns, but for durations of
+        stamps: names in CSV of the fields that are stamps; None: every field whose unit is ns, except durations of
             OpenIGTLink.
     """
 

@@ -57,7 +57,7 @@ _INNER = frozenset({"number", "passed", "is_regular", "streams", "newest"})
 #: An address of a peer in a sentence.
 _ADDRESS = re.compile(r"[\w.\-%\[\]:]{1,120}:[0-9]{1,5}(?![0-9])")
 _GONE = ", which has left"
-#: Words of a state that is not what its colour says: of what has left, pauses, has not come.
+#: Words of a state that is not what its colour means: of what has left, pauses, has not come.
 _LEFT_WORD, _QUIET_WORD, _MISSING_WORD = "left", "quiet", "missing"
 _STAMPS = {"stamp_backwards": "decrease", "stamp_still": "unchanged", "stamp_future": "in the future"}
 

@@ -59,7 +59,7 @@ class Reports:
         self._counts: dict[str, TopicCounts] = {}
         self._note_once = Once()
         self._refusals: dict[tuple[str, str, str], str] = {}  # action, topic, type → cause
-        self._clashes: dict[str, str] = {}  # topic → the policy of a publisher that no subscription of ours fits
+        self._clashes: dict[str, str] = {}  # topic → the policy of a publisher that none of our subscriptions fits
 
     def counters(self) -> dict[str, dict[str, int]]:
         """Counts of each topic, as ``TopicCounts`` names them."""

@@ -68,7 +68,7 @@ _END_S = 0.2
 
 
 class _Report:
-    """Tells the program that has started this one what share of the work is done."""
+    """Reports to the program that has started this one what share of the work is done."""
 
     def __init__(self) -> None:
         self._handle = os.dup(1)

@@ -248,7 +248,7 @@ def _problem_of(folder: Path) -> str:
 
 @contextmanager
 def _locked(root: Path, ended: Ended) -> Iterator[None]:
-    """Hold the lock of a folder, which names its owner; say whom this process waits for.
+    """Hold the lock of a folder, which names its owner; report for which process this one waits.
 
     The kernel releases the lock of a process that is killed.  Raises KeyboardInterrupt if ``ended`` returns true.
     """

@@ -1,7 +1,7 @@
 """Large outputs in a file: all bytes, the digest, or nothing.
 
 An output follows from its input and the state of the gateway, byte for byte, as ``verify`` shows.  So its digest is
-enough to prove it, and whoever reads the file computes its bytes (``derived``).  That needs the input and the state.
+enough to prove it, and a reader of the file computes its bytes (``derived``).  That needs the input and the state.
 Therefore an output is written in full
 
 * if one entry between its input and it is not in the file;

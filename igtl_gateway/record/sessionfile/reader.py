@@ -106,7 +106,7 @@ class SessionFile:
         self.recorded_session, self.recorded_ledger = session or {}, ledger or {}
         self.format_version, self.session = migrations.read_session(path, session)
         digested = [channel for channel in index.channels.values() if is_digested(channel)]
-        if digested:  # whoever reads them gets the outputs
+        if digested:  # readers get the outputs
             schemas = dict(index.schemas)
             outputs = {channel.id: output_channel(channel, schemas) for channel in digested}
             self._index = index = replace(index, schemas=schemas, channels=index.channels | outputs)

@@ -529,7 +529,7 @@ def test_tracking_data_passes_natively(
 
 
 def test_joints_pass_natively(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """But for the measured ones of an arm, whose names count."""
+    """Except the measured ones of an arm, whose names count."""
     path, topics = tmp_path / "session.mcap", ("/joints", "/array", "/arm/measured_js")
     rows = (ToIgtlRow(topic=topic, type="NDARRAY" if topic == "/array" else "SENSOR") for topic in topics)
     config = Config(to_igtl=tuple(rows)).watched()
