@@ -40,6 +40,9 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["TERM"] = "xterm-256color"
 os.environ.pop("NO_COLOR", None)
 
+# Lines are not wrapped: what a test looks for stands on one line.  Tests of the layout set it.
+os.environ["COLUMNS"] = "1000"
+
 # Compiled modules are kept, whatever the shell sets: a run starts some hundred Python processes; reading 240 test
 # files with their assertions takes each worker 16 s instead of 5.
 sys.dont_write_bytecode = False
@@ -135,6 +138,7 @@ LONG_FILES = {
 #: The third tier: how the names of tests begin.
 LONG = (
     *LONG_FILES,
+    *(f"integration/test_columns.py::test_no_line_is_wider_than_the_terminal[{columns}]" for columns in (60, 120)),
     *(f"addons/review/test_assess.py::test_the_{name}" for name in ("planted_", "distances_", "noise_")),
     "addons/cohort/test_segments.py::test_segments_have_the_result_of_the_file[Dask-",
     "addons/cohort/test_segments.py::test_segments_have_the_result_of_the_file[here-wrong",

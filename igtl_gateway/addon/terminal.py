@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING
 from igtl_gateway.addon.loading import Homes, at_first_use
 
 if TYPE_CHECKING:
-    from igtl_gateway.cli.common import count_text as count_text
-    from igtl_gateway.cli.common import size_text as size_text
+    from igtl_gateway.base.quantities import count_text as count_text
+    from igtl_gateway.base.quantities import duration_text as duration_text
+    from igtl_gateway.base.quantities import offset_text as offset_text
+    from igtl_gateway.base.quantities import rate_text as rate_text
+    from igtl_gateway.base.quantities import size_text as size_text
     from igtl_gateway.cli.common import stop_event as stop_event
     from igtl_gateway.cli.common import utc_text as utc_text
     from igtl_gateway.cli.merge_output import print_merge as print_merge
@@ -58,7 +61,8 @@ HOMES: Homes = (
         "cli.terminal",
         "PROGRESS PROGRESS_VARIABLE aligned cell clear_live_line is_terminal live_line print_json print_line width",
     ),
-    ("cli.common", "count_text size_text stop_event utc_text"),
+    ("cli.common", "stop_event utc_text"),
+    ("base.quantities", "count_text duration_text offset_text rate_text size_text"),
     ("cli.merge_output", "print_merge"),
     # What the user may run next
     ("cli.next_steps", "PROGRAM command print_next"),

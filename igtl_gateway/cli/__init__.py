@@ -54,7 +54,7 @@ from igtl_gateway.record.sessionfile.new_file import files_with_mode
 
 FAILURE, USAGE = 1, 2
 
-_ABOUT = "Gateway between OpenIGTLink and ROS 2 that records, replays and verifies sessions."
+_ABOUT = "Gateway between OpenIGTLink and ROS 2: records, replays and verifies sessions."
 _NAME_COLUMNS = 14
 
 

@@ -14,10 +14,10 @@ from igtl_gateway.app.ros_log import note_text
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.globs import matches
 from igtl_gateway.base.near import did_you_mean, near_names
+from igtl_gateway.base.quantities import count_text, size_text
 from igtl_gateway.base.stamp import NS_PER_S, utc_text
 from igtl_gateway.base.systems import service
 from igtl_gateway.base.version import __version__
-from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.losses import losses
 from igtl_gateway.cli.terminal import clear_live_line, live_line, print_json, print_line
 from igtl_gateway.cli.type_tables import mapping, profiles

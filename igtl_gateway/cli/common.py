@@ -11,6 +11,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.systems.signals import ENDINGS, KEPT_IGNORED, signals_in_thread
 from igtl_gateway.cli.terminal import print_line
@@ -44,11 +45,6 @@ def stop_event() -> Iterator[threading.Event]:
         yield event
 
 
-def count_text(number: int, thing: str, things: str = "") -> str:
-    """``1 message``, ``1,234 messages``."""
-    return f"{number:,} {thing if number == 1 else things or thing + 's'}"
-
-
 def print_damaged_indexes(path: Path, chunks: int) -> None:
     """Print that something around chunks is damaged, and the remedy; nothing if nothing is."""
     if chunks:
@@ -57,15 +53,6 @@ def print_damaged_indexes(path: Path, chunks: int) -> None:
             "messages are there, but programs that use these may miss some; run: igtl-gateway recover "
             f"{shlex.quote(str(path))}"
         )
-
-
-def size_text(number: float) -> str:
-    """Bytes for people: ``812 B``, ``9.6 MB``."""
-    for unit in ("B", "kB", "MB", "GB"):
-        if number < 1000 or unit == "GB":
-            return f"{number:.0f} {unit}" if unit == "B" else f"{number:.1f} {unit}"
-        number /= 1000
-    raise AssertionError
 
 
 def utc_text(stamp_ns: int) -> str:

@@ -7,7 +7,7 @@ import math
 
 from igtl_gateway.app.comparison import RecordingDiff, compare_recordings
 from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.cli.common import count_text
+from igtl_gateway.base.quantities import count_text, duration_text, offset_text
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.replay.compare import Tolerance
 from igtl_gateway.replay.diff import StreamDiff
@@ -31,11 +31,9 @@ def _print(options: argparse.Namespace, report: RecordingDiff) -> None:
     others = sum(stream.other_messages for stream in report.streams)
     print_line(f"A {options.one}: {count_text(messages, 'message')}")
     print_line(f"B {options.other}: {count_text(others, 'message')}")
-    print_line(
-        f"  gateway times: B is {_signed(report.offset_ns)} later" if report.offset_ns else "  gateway times: equal"
-    )
+    print_line(f"  gateway times: {_later(report.offset_ns)}")
     if report.stamp_offset_ns:
-        print_line(f"  stamps in messages: B is {_signed(report.stamp_offset_ns)} later")
+        print_line(f"  stamps in messages: {_later(report.stamp_offset_ns)}")
     for path in report.by_entry:
         print_line(f"  {path}: an older version, read entry by entry")
     title = ("stream", "A", "B", "missing", "extra", "different", "mm", "deg", "offset", "jitter")
@@ -48,6 +46,10 @@ def _print(options: argparse.Namespace, report: RecordingDiff) -> None:
     print_line("equal" if report.equal else f"DIFFERENT: {count_text(wrong, 'stream')} of {len(report.streams)}")
 
 
+def _later(offset_ns: float) -> str:
+    return f"B is {duration_text(offset_ns)} {'later' if offset_ns > 0 else 'earlier'}" if offset_ns else "equal"
+
+
 def _row(stream: StreamDiff, report: RecordingDiff) -> tuple[str, ...]:
     paired = stream.messages - stream.missing
     return (
@@ -56,8 +58,8 @@ def _row(stream: StreamDiff, report: RecordingDiff) -> tuple[str, ...]:
         *(f"{number:,}" if number else "" for number in (stream.missing, stream.extra)),
         f"{stream.different + stream.restamped:,}" if stream.different + stream.restamped else "",
         *(f"{number:.4g}" if number else "" for number in (stream.mm, stream.deg)),
-        _signed(stream.offset_ns - report.offset_ns) if paired else "",
-        f"{stream.jitter_ns / 1e6:.3f} ms" if paired > 1 else "",
+        offset_text(stream.offset_ns - report.offset_ns) if paired else "",
+        duration_text(stream.jitter_ns) if paired > 1 else "",
     )
 
 
@@ -71,7 +73,3 @@ def _places(stream: StreamDiff) -> list[str]:
     lines += [f"first message missing in B: entry {stream.first_missing} of A"] if stream.missing else []
     lines += [f"first message only in B: entry {stream.first_extra}"] if stream.extra else []
     return lines
-
-
-def _signed(offset_ns: float) -> str:
-    return f"{offset_ns / 1e9:+.3f} s" if abs(offset_ns) >= 1e9 else f"{offset_ns / 1e6:+.3f} ms"

@@ -13,6 +13,7 @@ from igtl_gateway.base.untrusted import cpu_time
 from igtl_gateway.cli import lint_run
 from igtl_gateway.cli.common import load_config, stop_event
 from igtl_gateway.cli.doctor_options import OPTIONS, PEER
+from igtl_gateway.cli.doctor_output import print_doctor
 from igtl_gateway.cli.settings import values_with_effect
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.config import notations
@@ -57,7 +58,9 @@ def _printed(report: DoctorReport | HostReport, as_json: bool) -> int:
     """Print a report, and return the exit code."""
     if as_json:
         print_json(report.to_dict())
-    else:
+    elif isinstance(report, HostReport):
         for line in report.lines():
             print_line(line)
+    else:
+        print_doctor(report)
     return int(report.failed)

@@ -10,15 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.base.errors import BeingRecorded, ConfigError, DamagedRecording, GatewayError, LimitExceeded
+from igtl_gateway.base.quantities import count_text, duration_text, rate_text, size_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.base.untrusted.text import parse_json
-from igtl_gateway.cli.common import count_text, print_damaged_indexes, size_text, utc_text
+from igtl_gateway.cli.common import print_damaged_indexes, utc_text
 from igtl_gateway.cli.info_source import STANDARD_INPUT, Recording, recording_of
 from igtl_gateway.cli.losses import DIRECTIONS, losses
 from igtl_gateway.cli.merge_output import print_merge
 from igtl_gateway.cli.next_steps import info_steps, print_next
-from igtl_gateway.cli.terminal import cell, print_json, print_line, width
+from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.log.changes import SETTING
 from igtl_gateway.gateway.log.entry import Kind
@@ -256,9 +257,10 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
         print_line("  BEING RECORDED: content up to the last flush")
     if summary["entries"]:
         jumped_s = sum(step["jump_s"] for step in summary["clock_steps"])
-        jumps = f" ({jumped_s:,.3f} s of it jumps of the clock)" if jumped_s else ""
+        jumps = f" ({duration_text(jumped_s * NS_PER_S)} of it jumps of the clock)" if jumped_s else ""
         number = count_text(summary["entries"], "entry", "entries")
-        print_line(f"  start     {summary['start']}, {summary['duration_s']:.3f} s{jumps}, {number}")
+        duration = duration_text(summary["duration_s"] * NS_PER_S)
+        print_line(f"  start     {summary['start']}, {duration}{jumps}, {number}")
         if restores := sum(stream["restores"] for stream in summary["streams"]):
             messages = count_text(restores, "message")
             print_line(f"  state     {messages} of before the slice: counted here, and in no rate and no gap")
@@ -300,10 +302,11 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
         print_merge(summary["merge"])
     if parts:
         print_line("  parts")
-        columns = width(part["file"] for part in parts)
+        rows: list[Sequence[str]] = [("file", "entries", "size", "start", "duration")]
         for part in parts:
-            span = f"from {part['start']}, {part['duration_s']:.3f} s" if part["entries"] else "no entries"
-            print_line(f"    {cell(part['file'], columns)} {part['entries']:>7,} {size_text(part['bytes']):>9}  {span}")
+            span = (part["start"], duration_text(part["duration_s"] * NS_PER_S)) if part["entries"] else ("", "")
+            rows.append((part["file"], f"{part['entries']:,}", size_text(part["bytes"]), *span))
+        print_line(*aligned(rows, indent="    "))
     _print_streams(streams)
     for title, lines in (
         ("links", [_line(stamp, note, start_ns) for stamp, kind, note in notes if kind is Kind.LINK]),
@@ -366,27 +369,42 @@ def _globs(text: str) -> str:
 
 
 def _print_streams(streams: list[dict[str, Any]]) -> None:
-    direction = ""
-    columns = width(stream["stream"] for stream in streams)
+    """Print the streams as one table, with a line of titles for each direction."""
     units = {
         side: {unit for stream in streams if (stream["direction"] in _IGTL) is side for unit in _units_in(stream)}
         for side in (True, False)
     }
+    rows: list[Sequence[str]] = []
+    direction = ""
     for stream in streams:
         if stream["direction"] != direction:
             direction = stream["direction"]
-            print_line(f"  {DIRECTIONS[Kind(direction)]}")
-        rate = f"{stream['rate_hz']:.1f} Hz" if stream["rate_hz"] else ""
-        gap = f"GAP of {stream['longest_pause_s']:.1f} s" if stream["gap"] else ""
-        ros_type = stream["type"] if "/" in stream["type"] else ""
-        unit = ""
-        if len(units[direction in _IGTL]) > 1:
-            others = (f"{each} (link {link})" for link, each in stream.get("link_units", {}).items())
-            unit = f"lengths in {', '.join((stream['unit'], *others))}"
-        state = f"{stream['restores']:,} before the slice" if stream["restores"] else ""
-        facts = ", ".join(fact for fact in (ros_type, unit, stream["stamps"], state, gap) if fact)
-        counts = f"{stream['messages']:>7,} {rate:>10} {size_text(stream['bytes']):>9}"
-        print_line(f"    {cell(stream['stream'], columns)} {counts}  {facts}".rstrip())
+            rows.append((DIRECTIONS[Kind(direction)], "messages", "rate", "size", ""))
+        rows.append(_stream_row(stream, shows_unit=len(units[direction in _IGTL]) > 1))
+    if rows:
+        print_line(*aligned(rows, text=True))
+
+
+def _stream_row(stream: dict[str, Any], *, shows_unit: bool) -> Sequence[str]:
+    """Return the row of a stream; its last cell has what is not a number."""
+    unit = ""
+    if shows_unit:
+        others = (f"{each} (link {link})" for link, each in stream.get("link_units", {}).items())
+        unit = f"lengths in {', '.join((stream['unit'], *others))}"
+    facts = (
+        f"GAP of {duration_text(stream['longest_pause_s'] * NS_PER_S)}" if stream["gap"] else "",
+        stream["type"] if "/" in stream["type"] else "",
+        unit,
+        stream["stamps"],
+        f"{stream['restores']:,} before the slice" if stream["restores"] else "",
+    )
+    return (
+        f"  {stream['stream']}",
+        f"{stream['messages']:,}",
+        rate_text(stream["rate_hz"]) if stream["rate_hz"] else "",
+        size_text(stream["bytes"]),
+        ", ".join(filter(None, facts)),
+    )
 
 
 def _peer(clock: dict[str, Any]) -> str:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from igtl_gateway.base.addons import part_of
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError, RecordingError
-from igtl_gateway.cli.common import count_text, size_text
+from igtl_gateway.base.quantities import count_text, size_text
 from igtl_gateway.cli.keep_options import keep_options
 from igtl_gateway.cli.settings import values_with_effect
-from igtl_gateway.cli.terminal import cell, print_json, print_line, width
+from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.config.notations import retention
 from igtl_gateway.record.retention.retention import Choice, Retention, RetentionReport
 from igtl_gateway.record.retention.stored import StoredRecording
@@ -50,11 +51,13 @@ def _retain(folder: Path, values: dict[str, Any]) -> int:
 
 
 def _print(report: RetentionReport, *, dry: bool) -> None:
-    columns = width(each.recording.name for each in (*report.deleted, *report.kept))
+    rows: list[Sequence[str]] = [("", "recording", "size", "")]
     for word, choices in (("would delete" if dry else "deleted", report.deleted), ("kept", report.kept)):
         for each in choices:
             why = f"{each.reason}; {each.kept}" if each.kept else each.reason
-            print_line(f"{word:<12} {cell(each.recording.name, columns)} {size_text(each.recording.size):>9}  {why}")
+            rows.append((word, each.recording.name, size_text(each.recording.size), why))
+    if len(rows) > 1:
+        print_line(*aligned(rows, left=2, indent="", text=True))
     if report.clock:
         print_line(f"by age nothing is deleted: {report.clock}; --trust-clock deletes", error=True)
     if not report.complete:

@@ -6,7 +6,8 @@ import argparse
 
 from igtl_gateway.app.linting import observe
 from igtl_gateway.base.errors import DamagedRecording
-from igtl_gateway.cli.common import count_text
+from igtl_gateway.base.quantities import count_text
+from igtl_gateway.cli.doctor_output import print_doctor
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.doctor.report import DoctorReport
 from igtl_gateway.record.sessionfile.reader import SessionFile
@@ -28,6 +29,5 @@ def run(options: argparse.Namespace) -> int:
         print_json({"file": str(options.file)} | report.to_dict())
     else:
         print_line(f"{options.file}: {count_text(len(seen.streams), 'OpenIGTLink stream')}")
-        for line in report.lines():
-            print_line(line)
+        print_doctor(report)
     return int(report.failed)

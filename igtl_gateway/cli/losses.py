@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from igtl_gateway.cli.common import count_text
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.fates import DROPPED, NOT_FOR, REFUSED_COMMANDS
 from igtl_gateway.gateway.log.ledger import PEERS, gaps

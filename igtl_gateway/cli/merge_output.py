@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from igtl_gateway.base.quantities import duration_text, offset_text
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.cli.terminal import aligned, print_line
 from igtl_gateway.record.sessionfile.merged import Method
 
@@ -25,13 +27,13 @@ def print_merge(facts: Mapping[str, Any]) -> None:
                 _method(clock),
             )
         )
-    print_line(*aligned(rows, left=2))
+    print_line(*aligned(rows, left=2, text=True))
     if facts["latencies"]:
-        print_line("latencies of the messages that cross, ms:")
+        print_line("latencies of the messages that cross:")
         crossing = [("from", "to", "stream", "messages", "min", "median", "99 %", "±")]
         for row in facts["latencies"]:
             numbers = (row["min_ms"], row["p50_ms"], row["p99_ms"], row["error_ms"])
-            crossing.append((row["from"], row["to"], row["stream"], f"{row['messages']:,}", *map(_number, numbers)))
+            crossing.append((row["from"], row["to"], row["stream"], f"{row['messages']:,}", *map(_latency, numbers)))
         print_line(*aligned(crossing, left=3))
     for line in _remarks(facts):
         print_line(line)
@@ -56,8 +58,8 @@ def _method(clock: Mapping[str, Any]) -> str:
 
 
 def _ms(seconds: float | None) -> str:
-    return "?" if seconds is None else f"{seconds * 1e3:+,.3f} ms"
+    return "?" if seconds is None else offset_text(seconds * NS_PER_S)
 
 
-def _number(value: float | None) -> str:
-    return "?" if value is None else f"{value:,.3f}"
+def _latency(value: float | None) -> str:
+    return "?" if value is None else ("-" if value < 0 else "") + duration_text(value * NS_PER_MS)

@@ -7,9 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from igtl_gateway.base.addons import is_present
-from igtl_gateway.cli.terminal import cell, print_line, width
+from igtl_gateway.cli.terminal import cell, columns, print_line, width
 
 PROGRAM = "igtl-gateway"
+#: Columns between a command and what it does, and before it.
+_BESIDE = 4
 
 
 def command(*words: object) -> str:
@@ -19,8 +21,13 @@ def command(*words: object) -> str:
 
 def print_next(*steps: tuple[str, str], title: str = "next") -> None:
     """Print commands and what they do, the commands in one column."""
-    columns = width(step for step, _ in steps)
-    print_line(title, *(f"  {cell(step, columns)}  {what}" for step, what in steps))
+    print_line(title)
+    longest = max((len(step) + len(what) for step, what in steps), default=0) + _BESIDE
+    for step, what in steps:
+        if longest <= columns():
+            print_line(f"  {cell(step, width(other for other, _ in steps))}  {what}")
+        else:
+            print_line(f"  {step}", f"      {what}")
 
 
 def info_steps(

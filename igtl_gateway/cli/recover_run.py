@@ -16,10 +16,10 @@ from igtl_gateway.base.errors import (
     LimitExceeded,
     UnsupportedRecording,
 )
+from igtl_gateway.base.quantities import count_text, size_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.files import is_same
 from igtl_gateway.base.untrusted.numbers import whole_number
-from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.losses import NO_END
 from igtl_gateway.cli.terminal import clear_live_line, is_terminal, live_line, print_json, print_line
 from igtl_gateway.record.sessionfile import layout

@@ -9,8 +9,8 @@ from typing import Any
 from igtl_gateway.app.replay_account import account_lines
 from igtl_gateway.app.replay_options import ReplayOptions
 from igtl_gateway.app.replaying import ReplayResult
-from igtl_gateway.cli.common import count_text, size_text
-from igtl_gateway.cli.terminal import cell, print_json, print_line
+from igtl_gateway.base.quantities import count_text, size_text
+from igtl_gateway.cli.terminal import aligned, print_json, print_line
 
 
 def print_report(options: ReplayOptions, result: ReplayResult, *, as_json: bool) -> None:
@@ -33,8 +33,9 @@ def print_report(options: ReplayOptions, result: ReplayResult, *, as_json: bool)
         print_line(
             f"faults (seed {options.seed}): of {count_text(counts['messages'], 'message')}: {hit or 'none affected'}"
         )
-    for stream, number in sorted(result.streams.items()):
-        print_line(f"  {cell(stream, 40)} {number:>8,}")
+    if result.streams:
+        rows = [("stream", "messages"), *((stream, f"{many:,}") for stream, many in sorted(result.streams.items()))]
+        print_line(*aligned(rows))
     for line in account_lines(result.account) if result.account else ():
         print_line(line)
     for line in _what_peers_got(result):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from igtl_gateway.app.sealing import seal_recording, stamp_recording
-from igtl_gateway.cli.common import size_text
+from igtl_gateway.base.quantities import size_text
 from igtl_gateway.cli.terminal import print_line
 
 

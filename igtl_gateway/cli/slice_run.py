@@ -10,9 +10,9 @@ from pathlib import Path
 
 from igtl_gateway.base.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.quantities import count_text, size_text
 from igtl_gateway.base.untrusted.files import is_same
 from igtl_gateway.base.version import __version__
-from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.gateway.log.marks import Mark
 from igtl_gateway.record.sessionfile import layout

@@ -3,6 +3,9 @@
 Each argument of :func:`print_line` is one line: line feeds, escape sequences and the like in it are escaped.
 What the encoding of the output does not have is escaped as well, so that no name can stop the program.
 In the journal of systemd each line has its priority in front.
+
+Lines and tables fit into the columns of the terminal, or of the environment (COLUMNS).  Without either, a report has
+80, so that a pipe or a file gets the same on every machine; an error, and a line of a log, stays one line there.
 """
 
 from __future__ import annotations
@@ -12,6 +15,8 @@ import os
 import shutil
 import sys
 from collections.abc import Iterable, Sequence, Set
+from contextlib import suppress
+from itertools import chain
 from typing import Any, TextIO
 
 from igtl_gateway.base.clock import SystemClock
@@ -20,11 +25,14 @@ from igtl_gateway.base.near import did_you_mean, near_names
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.systems.service import INFO, WARNING, is_journal
 from igtl_gateway.base.untrusted.text import json_line, printable
+from igtl_gateway.cli.layout import table, wrapped
 
 #: Longer lines are cut: a name of a megabyte must not bury the rest.  ``--json`` has everything.
 LONGEST_LINE = 4000
 #: Columns of a table that one text may take; the rest of its row moves to the right.
 _WIDEST_COLUMN = 72
+#: Columns of a report without a terminal, and the fewest that lines are wrapped for.
+_COLUMNS, _FEWEST = 80, 40
 _CLEAR = "\r\x1b[K"
 #: Environment variable of a program that reads the progress: a line each on stderr, which begins with the word.
 PROGRESS_VARIABLE, PROGRESS = "IGTL_GATEWAY_PROGRESS", "progress "
@@ -39,9 +47,16 @@ class _LiveLine:
 
 
 def print_line(
-    *lines: str, error: bool = False, flush: bool = False, colour: str = "", priority: int | None = None
+    *lines: str,
+    error: bool = False,
+    flush: bool = False,
+    colour: str = "",
+    priority: int | None = None,
+    log: bool = False,
 ) -> None:
-    """Print lines, each as one line whatever foreign text is in it: to stdout, or to stderr for an ``error``.
+    """Print lines, each wrapped, whatever foreign text is in it: to stdout, or to stderr for an ``error``.
+
+    A line of a ``log``, and an error, is one line where no terminal shows it.
 
     ``colour`` holds the parameters of the escape sequence SGR (``"1;31"``), for a terminal; the indent has none.  The
     environment can forbid colours: NO_COLOR (any value), TERM=dumb.  ``priority`` is that of the journal; a warning for
@@ -49,12 +64,11 @@ def print_line(
     """
     front = _front(WARNING if error and priority is None else priority, error)
     is_coloured = bool(colour) and not os.environ.get("NO_COLOR") and not _is_dumb()
-    for line in lines or ("",):
-        text = _printable_line(line)
-        if is_coloured:
-            bare = text.lstrip()
-            text = f"{text[: len(text) - len(bare)]}\x1b[{colour}m{bare}\x1b[0m"
-        _write(f"{front}{text}\n", error)
+    room = columns(error, log=log or error)
+    for text in chain.from_iterable(wrapped(_printable_line(line), room) for line in lines or ("",)):
+        bare = text.lstrip()
+        painted = f"{text[: len(text) - len(bare)]}\x1b[{colour}m{bare}\x1b[0m" if is_coloured else text
+        _write(f"{front}{painted}\n", error)
     if flush:
         _flush(error)
 
@@ -82,12 +96,12 @@ def live_line(text: str, error: bool = False) -> None:
     """
     if _is_dumb():
         return
-    columns = shutil.get_terminal_size().columns - 1
+    room = shutil.get_terminal_size().columns - 1
     if _LiveLine.typed and not error:
-        _write(f"{_CLEAR}{_printable_line(_LiveLine.typed)[-columns:]}")
+        _write(f"{_CLEAR}{_printable_line(_LiveLine.typed)[-room:]}")
         _flush()
         return
-    _write(f"{_CLEAR}{_printable_line(text)[:columns]}", error)
+    _write(f"{_CLEAR}{_printable_line(text)[:room]}", error)
     _flush(error)
 
 
@@ -144,6 +158,22 @@ def is_terminal(error: bool = False) -> bool:
     return _stream(error).isatty()
 
 
+def columns(error: bool = False, *, log: bool = False) -> int:
+    """Return the number of columns of stdout (or stderr); 0: lines are not wrapped, as in the journal."""
+    stream = _stream(error)
+    if is_journal(stream):
+        return 0
+    stated = os.environ.get("COLUMNS", "")
+    found = int(stated) if stated.isdecimal() else 0
+    if not found and stream.isatty():
+        with suppress(OSError, ValueError):  # an imitation of a terminal
+            found = os.get_terminal_size(stream.fileno()).columns
+        found = found or _COLUMNS
+    if not found:
+        return 0 if log else _COLUMNS
+    return max(found, _FEWEST)
+
+
 def width(texts: Iterable[str], title: str = "") -> int:
     """Return the width of a column with these strings, as :func:`cell` shows them, within bounds."""
     return min(max((len(printable(text[:_WIDEST_COLUMN])) for text in (title, *texts)), default=0), _WIDEST_COLUMN)
@@ -154,23 +184,17 @@ def cell(text: str, columns: int = 0) -> str:
     return _printable_line(text).ljust(columns)
 
 
-def aligned(rows: Sequence[Sequence[str]], left: int = 1, indent: str = "  ") -> list[str]:
-    """Return the lines of a table.
+def aligned(rows: Sequence[Sequence[str]], left: int = 1, indent: str = "  ", *, text: bool = False) -> list[str]:
+    """Return the lines of a table; columns for which the terminal has no room stand below the others.
 
     Args:
         rows: cells, the first row being the titles; all rows have the same number of cells.
         left: this number of columns is aligned on the left, the others, which hold numbers, on the right.
         indent: what each line begins with.
+        text: whether the last column has sentences, which are wrapped.
     """
-    widths = [width(row[column] for row in rows) for column in range(len(rows[0]))]
-    return [
-        indent
-        + "  ".join(
-            cell(text, columns) if number < left else cell(text).rjust(columns)
-            for number, (text, columns) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
+    shown = [[_printable_line(cell) for cell in row] for row in rows]
+    return table(shown, columns(), left=left, indent=indent, widest=_WIDEST_COLUMN, text=text)
 
 
 class Parser(argparse.ArgumentParser):

@@ -76,7 +76,7 @@ def _own(
 VERBS = {
     "bridge": _own("bridge", "run the gateway between OpenIGTLink and ROS 2", RUN, 1, reads_files=False),
     "replay": _own("replay", "send a recording to OpenIGTLink peers, to ROS 2 or to both", RUN, 2, lasts=True),
-    "verify": _own("verify", "check that recorded outputs follow from the inputs, byte for byte", INSPECT, 3),
+    "verify": _own("verify", "check that the outputs follow from the inputs, byte for byte", INSPECT, 3),
     "diff": _own("diff", "compare two recordings by stream, in millimetres and degrees", INSPECT, 4),
     "slice": _own(
         "slice", "cut a part out of a recording, by time and stream; it verifies", CONVERT, 3, writes_files=True

@@ -8,8 +8,9 @@ from collections.abc import Iterator, Sequence
 from igtl_gateway.app.sealing import UNTIMED, SealVerification, verify_seal
 from igtl_gateway.app.verification import RECORDED, Verification, verify_parts, verify_recording
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.systems.processes import usable_cpus
-from igtl_gateway.cli.common import count_text, print_damaged_indexes, utc_text
+from igtl_gateway.cli.common import print_damaged_indexes, utc_text
 from igtl_gateway.cli.terminal import LiveProgress, print_json, print_line
 from igtl_gateway.record.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, UNTRUSTED, SealReport
 from igtl_gateway.record.sessionfile.side_file import SIDE_FILE

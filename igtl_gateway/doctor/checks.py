@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+from igtl_gateway.base.quantities import duration_text
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.convert.names import MAX_DEVICE_NAME, topic_token
 from igtl_gateway.doctor.observations import ObservedPeer, ObservedStream
@@ -150,8 +151,8 @@ def silent(observed: Observer) -> Iterator[RuleMatch]:
         if _ends_at_once(peer):
             continue
         if not peer.messages and not peer.head and not peer.received_bytes and peer.up_ns:
-            lasted = ((peer.down_ns or observed.ended_ns) - peer.up_ns) / NS_PER_S
-            yield RuleMatch(peer.name, f"{peer.name} is connected, but sent nothing in {lasted:.1f} s")
+            lasted = duration_text((peer.down_ns or observed.ended_ns) - peer.up_ns)
+            yield RuleMatch(peer.name, f"{peer.name} is connected, but sent nothing in {lasted}")
 
 
 def _ends_at_once(peer: ObservedPeer) -> bool:
@@ -168,7 +169,8 @@ def closed_at_once(observed: Observer) -> Iterator[RuleMatch]:
     peers = [peer for peer in _of_role(observed, observed.expected.role) if _ends_at_once(peer)]
     if peers:
         first = peers[0]
-        text = f"{first.name} closed the connection after {ms(first.down_ns - first.up_ns)}, before any message"
+        lasted = duration_text(first.down_ns - first.up_ns)
+        text = f"{first.name} closed the connection after {lasted}, before any message"
         yield RuleMatch(
             first.name, text + (f"; so {len(peers)} times" if len(peers) > 1 else ""), {"count": len(peers)}
         )
@@ -198,7 +200,8 @@ def disconnects_at_version(observed: Observer) -> Iterator[RuleMatch]:
         for version, sent_ns in peer.first_sent_ns.items():
             after_ns = peer.down_ns - sent_ns
             if not peer.received_versions[version] and 0 <= after_ns <= IMMEDIATE_NS:
-                text = f"{peer.name} disconnected {ms(after_ns)} after its first message of header version {version}"
+                after = duration_text(after_ns)
+                text = f"{peer.name} disconnected {after} after its first message of header version {version}"
                 if peer.received_versions:
                     text += f"; it sends version {min(peer.received_versions)}"
                 host = peer.address.rpartition(":")[0]
@@ -236,7 +239,7 @@ def short_links(observed: Observer) -> Iterator[RuleMatch]:
             short[host] = short.get(host, 0) + 1
     for host, number in short.items():
         if number >= MIN_SHORT_LINKS:
-            yield RuleMatch(host, f"{number} links with {host} lasted less than {SHORT_NS / NS_PER_S:g} s")
+            yield RuleMatch(host, f"{number} links with {host} lasted less than {duration_text(SHORT_NS)}")
 
 
 # ── headers ───────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -284,10 +287,6 @@ def unknown_type(stream: ObservedStream) -> str:
 # ── stamps ────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def ms(ns: int) -> str:
-    return f"{ns / NS_PER_S:,.1f} s" if abs(ns) >= NS_PER_S else f"{ns / NS_PER_MS:,.1f} ms"
-
-
 def other_epoch(stream: ObservedStream) -> int:
     timing = stream.timing
     return timing.stamped if max(abs(timing.least_ns), abs(timing.most_ns)) > EPOCH_NS else 0
@@ -310,7 +309,7 @@ def in_unit(stream: ObservedStream) -> str:
     return (
         f"the fractions of {fractions.stamped} stamps count {fractions.unit}, not 2^-32 s: none is above "
         f"{fractions.largest:,}"
-        + (f", and ages differ by {ms(fractions.spread_ns)}" if fractions.spread_ns >= NS_PER_MS else "")
+        + (f", and ages differ by {duration_text(fractions.spread_ns)}" if fractions.spread_ns >= NS_PER_MS else "")
     )
 
 
@@ -342,7 +341,7 @@ def coarse(stream: ObservedStream) -> str:
     timing = stream.timing
     if timing.repeated == timing.stamped - 1:
         return f"all {timing.stamped} stamps are equal: the sender's clock does not advance"
-    step = f"rounded to {ms(timing.step_ns)}" if timing.step_ns else "from a clock of low resolution"
+    step = f"rounded to {duration_text(timing.step_ns)}" if timing.step_ns else "from a clock of low resolution"
     return f"stamps are {step}; {timing.repeated} of {timing.stamped} are equal to the previous one"
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from igtl_gateway.base.quantities import count_text, rate_text
 from igtl_gateway.doctor.observations import ObservedStream
 from igtl_gateway.doctor.observer import Observer
 from igtl_gateway.doctor.rules import RuleFinding, Severity, judge
@@ -69,18 +70,29 @@ class DoctorReport:
             "streams": [_stream(stream) for stream in observed.streams.values()],
         }
 
-    def lines(self) -> Iterator[str]:
-        """Yield the lines that are printed."""
+    def peer_lines(self) -> Iterator[str]:
+        """Yield a line for each peer."""
         for peer in self.observed.peers.values():
             side = "client" if peer.role == "server" else "server"
             versions = ", ".join(f"header version {version}" for version in sorted(peer.received_versions))
-            count = f"{peer.messages:,} message{'' if peer.messages == 1 else 's'}"
+            count = count_text(peer.messages, "message")
             yield f"  {peer.name}: {side}; {count}{', ' if versions else ''}{versions}"
-        width = max((len(stream.name) for stream in self.observed.streams.values()), default=0)
-        for stream in self.observed.streams.values():
-            rate = f"{stream.rate_hz:,.1f} Hz" if stream.rate_hz else ""
-            facts = _stream(stream)
-            yield f"  {stream.name:<{width}} {stream.messages:>7,} {rate:>10}  {facts['crc']}, {stream.timing}"
+
+    def stream_rows(self) -> list[tuple[str, ...]]:
+        """Return a table of the streams, the first row being its titles; empty without streams."""
+        rows = [
+            (
+                stream.name,
+                f"{stream.messages:,}",
+                rate_text(stream.rate_hz) if stream.rate_hz else "",
+                f"{_stream(stream)['crc']}, {stream.timing}",
+            )
+            for stream in self.observed.streams.values()
+        ]
+        return [("stream", "messages", "rate", ""), *sorted(rows)] if rows else []
+
+    def finding_lines(self) -> Iterator[str]:
+        """Yield the lines of the findings, and the probable cause."""
         last, number = "", 0
         for finding in self.findings:
             rule, match = finding.rule, finding.match

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+from igtl_gateway.base.quantities import duration_text
 from igtl_gateway.doctor import checks
 from igtl_gateway.doctor.checks import RuleMatch, each_stream
 from igtl_gateway.doctor.observer import Observer
@@ -298,13 +299,15 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-W303", "stamps in the future", "Protocol/timestamp.md",
         "synchronise the clocks of the two machines (NTP, PTP)",
-        each_stream(checks.in_future, lambda one: f"stamps are up to {checks.ms(-one.timing.least_ns)} in the future"),
+        each_stream(
+            checks.in_future, lambda one: f"stamps are up to {duration_text(one.timing.least_ns)} in the future"
+        ),
     ),
     Rule(
         "IGTL-W306", "stamps are old", "Protocol/timestamp.md",
         "synchronise the clocks; if they are correct, the messages wait before they are sent",
         each_stream(
-            checks.is_old, lambda one: f"messages are {checks.ms(one.timing.least_ns)} old on arrival, or more"
+            checks.is_old, lambda one: f"messages are {duration_text(one.timing.least_ns)} old on arrival, or more"
         ),
     ),
     Rule(
@@ -356,7 +359,7 @@ RULES: tuple[Rule, ...] = (
         "check the tracker's line of sight, the sender and the network",
         each_stream(
             checks.has_gap,
-            lambda one: f"a pause of {checks.ms(one.longest_pause_ns)} in a stream of {one.rate_hz:.1f} Hz",
+            lambda one: f"a pause of {duration_text(one.longest_pause_ns)} in a stream of {one.rate_hz:.1f} Hz",
         ),
     ),
     Rule(

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from igtl_gateway.base.quantities import duration_text
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.convert.common_msgs import DiagnosticArray
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header
@@ -162,7 +163,7 @@ class Diagnostics:
         elif has_left:
             level, text = STALE if seen.rhythm else OK, "its peer has left"
         elif silent_ns >= SILENT_NS:
-            level, text = STALE if seen.rhythm else OK, f"no message for {silent_ns / NS_PER_S:.0f} s"
+            level, text = STALE if seen.rhythm else OK, f"no message for {duration_text(silent_ns)}"
         else:
             level, text = OK, f"{rate_hz:.1f} Hz"
         values = [("frequency_hz", f"{rate_hz:.2f}"), ("silent_s", f"{silent_ns / NS_PER_S:.1f}")]

@@ -15,6 +15,7 @@ import struct
 from collections.abc import Iterable, Sequence
 
 from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.quantities import count_text, duration_text
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Level
@@ -162,7 +163,7 @@ class GuardedStream:
             if self.stale > 1:
                 return True, []
             self._stale_since_ns = now_ns
-            age, most = _seconds(now_ns - self.ahead_ns - own_ns), _seconds(self.max_age_ns)
+            age, most = duration_text(now_ns - self.ahead_ns - own_ns), duration_text(self.max_age_ns)
             text = f"{self.stream} is stale: messages are {age} old, expected at most {most}"
             return True, [(Level.ERROR, STALE, text)]
         return False, self._fresh(now_ns) if code == FRESH else []
@@ -179,8 +180,9 @@ class GuardedStream:
     def _fresh(self, now_ns: int) -> list[Remark]:
         """Return the remark that a stream which was stale is no longer so."""
         number, self.stale = self.stale, 0
-        lasted = _seconds(now_ns - self._stale_since_ns)
-        return [(Level.INFO, FRESH, f"{self.stream} is fresh again: {number:,} messages withheld in {lasted}")]
+        lasted = duration_text(now_ns - self._stale_since_ns)
+        dropped = f"{count_text(number, 'message')} dropped as too old"
+        return [(Level.INFO, FRESH, f"{self.stream} is recent again, after {lasted}: {dropped}")]
 
     # -- watchers -----------------------------------------------------------------------------------------------
 
@@ -207,7 +209,8 @@ class GuardedStream:
         if now_ns >= self._due_ns:
             for code in self._end_episodes(now_ns):
                 since_ns, last_ns, number = self.episodes.pop(code)
-                seen = f"{_WORDS[code]} have ended after {number:,} times in {_seconds(last_ns - since_ns)}"
+                lasted = duration_text(last_ns - since_ns)
+                seen = f"{_WORDS[code]} have ended after {count_text(number, 'time')} in {lasted}"
                 findings.append((Level.INFO, CALM, f"{self.stream}: {seen}"))
             self.timing.add(stamp_ns if stamp_ns != now_ns else 0, now_ns - self.ahead_ns)
             self._still = self._still + 1 if stamp_ns == self._seen_ns else 0
@@ -269,9 +272,9 @@ class GuardedStream:
 
     def _describe(self, code: str, now_ns: int, stamp_ns: int, place: Place | None) -> str:
         if code == BACKWARDS:
-            return f"stamps decrease by {_seconds(self.last_ns - stamp_ns)}"
+            return f"stamps decrease by {duration_text(self.last_ns - stamp_ns)}"
         if code == FUTURE:
-            ahead = _seconds(stamp_ns - now_ns + self.ahead_ns)
+            ahead = duration_text(stamp_ns - now_ns + self.ahead_ns)
             return f"stamps are {ahead} in the future; synchronise the clocks (NTP, PTP)"
         if code == STILL:
             return (
@@ -297,7 +300,3 @@ def is_unit_jump(before: Sequence[float], after: Sequence[float]) -> bool:
 def findings_of(entry: Entry, remarks: Iterable[Remark]) -> list[Item]:
     """Return the findings for the remarks about a stream."""
     return [Finding(level, code, text, entry.channel, entry.links) for level, code, text in remarks]
-
-
-def _seconds(ns: int) -> str:
-    return f"{ns / NS_PER_S:,.3f} s"

@@ -24,6 +24,7 @@ from typing import Any
 
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import RecordingError
+from igtl_gateway.base.quantities import duration_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.triggers import Trigger
 from igtl_gateway.gateway.log.entry import Entry
@@ -401,9 +402,9 @@ class BlackBox(Ring):
             lacks.append(f"no file: {window.why_not}")
         if window.forgotten_ns >= begin_ns:
             lost_ns = min(window.forgotten_ns, row.until_ns) - begin_ns
-            lacks.append(f"{lost_ns / NS_PER_S:.3f} s of its window: memory had them no more")
+            lacks.append(f"{duration_text(lost_ns)} of its window: memory had them no more")
         if row.until_ns > max(self._last_ns, window.end_ns if not window.is_open else 0):
-            lacks.append(f"{(row.until_ns - self._last_ns) / NS_PER_S:.3f} s after it: the recording ended")
+            lacks.append(f"{duration_text(row.until_ns - self._last_ns)} after it: the recording ended")
         lost = sum(count for begin, end, count in self._gaps if end >= begin_ns and begin <= row.until_ns)
         if lost:
             lacks.append(f"{lost:,} entries: the disk or the machine was too slow")

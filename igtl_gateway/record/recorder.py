@@ -25,6 +25,7 @@ from typing import Any
 
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import RecordingError
+from igtl_gateway.base.quantities import duration_text, size_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Level, Note
@@ -353,7 +354,7 @@ class Recorder:
         if done != self._done or not entries:
             if self._stalled:
                 who = "the disk answers" if self._is_blocked else "the recorder writes"
-                text = f"{who} again, after {(now_ns - self._done_ns) / NS_PER_S:.1f} s"
+                text = f"{who} again, after {duration_text(now_ns - self._done_ns)}"
                 self._on_message("note", [Note(Level.INFO, MOVES, text)])
             self._done, self._done_ns, self._stalled, self._is_blocked = done, now_ns, False, False
             self._pace.begin(now_ns, 0)
@@ -370,7 +371,7 @@ class Recorder:
             cause = "the disk does not answer" if self._is_blocked else "the recorder has no processor"
             text = (
                 f"{cause}: nothing was written for {_STILL_NS / NS_PER_S:g} s; {entries:,} entries "
-                f"({size:,} bytes) wait in memory, and what it has no room for is dropped"
+                f"({size_text(size)}) wait in memory, and what it has no room for is dropped"
             )
             self._on_message("note", [Note(Level.WARN, STALLED, text)])
 
@@ -404,12 +405,12 @@ class Recorder:
             begins, self._late_ns = self._late_ns is None, now_ns
             if begins:
                 text = (
-                    f"the file is {behind_ns / NS_PER_S:.1f} s behind: a kill of both processes would lose that now "
+                    f"the file is {duration_text(behind_ns)} behind: a kill of both processes would lose that now "
                     f"(--flush-interval {self.options.flush_s:g}); {put - flushed:,} entries wait"
                 )
                 self._on_message("note", [Note(Level.WARN, LATE, text, data={"behind_s": behind_ns / NS_PER_S})])
         elif self._late_ns is not None and now_ns - self._late_ns > _CALM_NS:
-            text = f"the file is on time again; it was {self._most_behind_ns / NS_PER_S:.1f} s behind"
+            text = f"the file is on time again; it was {duration_text(self._most_behind_ns)} behind"
             self._late_ns, self._most_behind_ns = None, 0
             self._on_message("note", [Note(Level.INFO, ON_TIME, text)])
 

@@ -7,11 +7,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from igtl_gateway.base.quantities import duration_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.clocksteps import ClockStep, without_jump
 from igtl_gateway.gateway.log.entry import MESSAGES, Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
-from igtl_gateway.gateway.log.timing import StampTiming, best
+from igtl_gateway.gateway.log.timing import StampTiming, age_text, best
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,6 +25,8 @@ _GAP_FACTOR = 10
 _GAP_MIN_NS = NS_PER_S
 #: Messages that make a stream with a rhythm; fewer are events.
 _RHYTHM = 20
+#: Ages that vary by less are equal.
+_LEAST_SHOWN_NS = 1_000
 _NS_PER_MS = 1_000_000
 
 #: Number of messages whose age is stored; a longer session must not cost memory.
@@ -127,7 +130,9 @@ class StreamSummary:
         if self.age_ms is None:
             return "unstamped"
         median_ms, range_ms = self.age_ms
-        text = f"median age {median_ms:,.1f} ms (max - min {range_ms:,.1f} ms)"
+        age = age_text(median_ms * _NS_PER_MS, "median age {}")
+        varies = range_ms * _NS_PER_MS
+        text = age + (f", varies by {duration_text(varies)}" if varies >= _LEAST_SHOWN_NS else "")
         return text + (f", {self.unstamped:,} unstamped" if self.unstamped else "")
 
     def to_dict(self) -> dict[str, Any]:

@@ -7,7 +7,8 @@ import signal
 
 import pytest
 
-from igtl_gateway.cli.common import count_text, size_text, stop_event
+from igtl_gateway.base.quantities import count_text, size_text
+from igtl_gateway.cli.common import stop_event
 from igtl_gateway.cli.options import address
 
 
@@ -68,4 +69,4 @@ def test_addresses_that_are_none(text: str) -> None:
 
 def test_numbers_for_people() -> None:
     assert (count_text(1, "peer"), count_text(1234, "entry", "entries")) == ("1 peer", "1,234 entries")
-    assert (size_text(812), size_text(9_600_000), size_text(3e12)) == ("812 B", "9.6 MB", "3000.0 GB")
+    assert (size_text(812), size_text(9_600_000), size_text(3e12)) == ("812 B", "9.6 MB", "3.0 TB")

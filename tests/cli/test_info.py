@@ -53,9 +53,9 @@ def test_a_split_recording_is_told_as_one_and_by_its_parts(tmp_path: Path, capsy
     assert told["parts"][1]["duration_s"] == (entries[104].stamp_ns - entries[70].stamp_ns) / 1e9
     text = said(capsys, folder)
     assert text.startswith(f"{folder}: session log version 1, 3 parts, {sum(sizes) / 1000:.1f} kB\n")
-    rows = [line.split() for line in text.partition("  parts\n")[2].splitlines()[:3]]
+    rows = [line.split() for line in text.partition("  parts\n")[2].splitlines()[1:4]]
     assert [(row[0], row[1]) for row in rows] == [("long_0.mcap", "70"), ("long_1.mcap", "35"), ("long_2.mcap", "0")]
-    assert rows[2][-2:] == ["no", "entries"]
+    assert len(rows[2]) == 4, "an empty part has no start and no duration"
     assert "part      1 of a split recording, after long_0.mcap\n" in said(capsys, folder / "long_1.mcap")
     assert "parts" not in json.loads(said(capsys, folder / "long_1.mcap", "--json"))
 
@@ -157,8 +157,8 @@ def test_the_age_of_stamps_is_a_median_and_its_range_is_max_minus_min(
     (stream,) = json.loads(said(capsys, path, "--json"))["streams"]
     assert stream["age_median_ms"] == pytest.approx(4, abs=1e-3)
     assert stream["age_max_minus_min_ms"] == pytest.approx(100, abs=1e-3)
-    assert stream["stamps"] == "median age 4.0 ms (max - min 100.0 ms)"
-    assert "median age 4.0 ms (max - min 100.0 ms)" in said(capsys, path)
+    assert stream["stamps"] == "median age 4 ms, varies by 100 ms"
+    assert "median age 4 ms, varies by 100 ms" in said(capsys, path)
 
 
 def test_a_recording_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:

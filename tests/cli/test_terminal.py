@@ -91,7 +91,7 @@ def test_a_live_line_is_cut_to_the_terminal(
 
 def test_long_lines_are_cut_and_say_so(capsys: pytest.CaptureFixture[str]) -> None:
     print_line("x" * (LONGEST_LINE + 1234))
-    assert capsys.readouterr().out == f"{'x' * LONGEST_LINE} … and 1,234 more characters\n"
+    assert capsys.readouterr().out.split() == ["x" * LONGEST_LINE, "…", "and", "1,234", "more", "characters"]
 
 
 def test_own_texts_have_lines_of_any_length(capsys: pytest.CaptureFixture[str]) -> None:

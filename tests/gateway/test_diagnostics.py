@@ -122,7 +122,7 @@ def test_peers_and_the_recorder_have_statuses() -> None:
     by_name = told()
     one, two = by_name["igtl_gateway: peer 1 10.0.0.1:5"], by_name["igtl_gateway: peer 2 10.0.0.2:5"]
     assert (one.level, one.hardware_id, two.level) == (WARN, "10.0.0.1:5", ERROR)
-    assert "(not separable)" in dict(one.values)["clock"] and dict(one.values)["sent"] == "7"
+    assert "999 ms ahead of this clock" in dict(one.values)["clock"] and dict(one.values)["sent"] == "7"
     assert by_name["igtl_gateway: recorder"].level == OK
     told.recorder = {"dropped_entries": 2, "written_entries": 5, "failure": ""}
     by_name = told()

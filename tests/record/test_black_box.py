@@ -13,6 +13,7 @@ import pytest
 
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.clock import ManualClock, SystemClock
+from igtl_gateway.base.quantities import duration_text
 from igtl_gateway.cli import main
 from igtl_gateway.config.triggers import trigger
 from igtl_gateway.convert.common_msgs import DiagnosticArray
@@ -150,10 +151,10 @@ def test_a_file_begins_with_the_window(seconds: tuple[float, ...], first: float,
     ("seconds", "late_s", "rule", "first", "missing"),
     [
         ((5.0,), 1.2, "mark=slip,before=0.5,after=0.3", 3.3, ""),
-        ((5.0,), 1.2, "mark=slip,before=1.5,after=0.3", 3.0, "0.650 s of its window: memory had them no more"),
+        ((5.0,), 1.2, "mark=slip,before=1.5,after=0.3", 3.0, "650 ms of its window: memory had them no more"),
         ((5.0,), 1.2, "mark=slip,after=0.3", 3.0, ""),  # all that memory has
-        ((5.0,), 2.5, "mark=slip,after=0.3", 3.0, "0.300 s of its window: memory had them no more"),
-        ((5.0,), 4.0, "mark=slip,before=0.5,after=0.3", 3.0, "0.800 s of its window: memory had them no more"),
+        ((5.0,), 2.5, "mark=slip,after=0.3", 3.0, "300 ms of its window: memory had them no more"),
+        ((5.0,), 4.0, "mark=slip,before=0.5,after=0.3", 3.0, "800 ms of its window: memory had them no more"),
         ((5.0, 5.1), 1.2, "mark=slip,before=0.5,after=0.3", 3.3, ""),
     ],
 )
@@ -175,7 +176,7 @@ def test_a_mark_that_comes_late_has_the_window_of_its_moment(
     assert content[-1] == pytest.approx(seconds[-1]), "it goes on to the mark"
     assert (row["missing"], row["at_ns"]) == (missing, samples.START_NS + round((5.0 - late_s) * NS))
     assert main(["info", str(path)]) == 0
-    assert f"mark slip ({late_s:.1f} s before)" in capsys.readouterr().out
+    assert f"mark slip ({duration_text(late_s * 1e9)} before)" in capsys.readouterr().out
 
 
 @table(
@@ -214,7 +215,7 @@ def test_info_states_why_the_file_is_there(tmp_path: Path, capsys: pytest.Captur
     assert "  black box by mark slip: mark slip\n" in text
     assert "2.000 s, 2 times  mark slip: mark slip\n" in text
     assert main(["info", str(last)]) == 0
-    assert "INCOMPLETE: 0.900 s after it: the recording ended" in capsys.readouterr().out
+    assert "INCOMPLETE: 900 ms after it: the recording ended" in capsys.readouterr().out
     assert main(["verify", str(first)]) == 0
 
 

@@ -1162,7 +1162,7 @@ def test_a_file_that_is_behind_is_said_while_it_is(path: Path, monkeypatch: pyte
         wait_until(lambda: any(note.code == recorder_module.LATE for note in bench.lateness))
         assert bench.recorder.counters()["behind_s"] == 1.5
         (note,) = (note for note in bench.lateness if note.code == recorder_module.LATE)
-        assert "1.5 s behind" in note.text and "entries wait" in note.text
+        assert "1.50 s behind" in note.text and "entries wait" in note.text
     bench.clock.advance(1_000_000_000)
     wait_until(lambda: bench.recorder.counters()["behind_s"] == 0)
     bench.clock.advance(11_000_000_000)

@@ -62,7 +62,7 @@ def _print(out: Path, report: Report) -> None:
     rows = [
         (row["rule"], f"{row['changes']:,}", row["option"], row["what"]) for row in facts["rules"] if row["changes"]
     ]
-    print_line(*aligned([("rule", "changes", "option", "what"), *rows], left=1))
+    print_line(*aligned([("rule", "changes", "option", "what"), *rows], left=1, text=True))
     for stream, number in facts["removed"].items():
         print_line(f"removed: {count_text(number, 'message')} of {stream}")
     for what, why in facts["left"].items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+from collections.abc import Sequence
 from typing import Any
 
 from igtl_gateway.addon import NS_PER_S, ConfigError, GatewayError
@@ -11,12 +12,11 @@ from igtl_gateway.addon.processes import part_of
 from igtl_gateway.addon.reading import SessionFile, check_recorded, with_state
 from igtl_gateway.addon.streams import GAP_NS
 from igtl_gateway.addon.terminal import (
-    cell,
+    aligned,
     count_text,
     file_name,
     print_json,
     print_line,
-    width,
 )
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
 from igtl_gateway.addons.exchange.export_verb_options import LEROBOT, LEROBOT_ROW
@@ -105,13 +105,12 @@ def _next_step(options: argparse.Namespace) -> str:
 
 def _print(account: ExportAccount, options: argparse.Namespace) -> None:
     rows = [*account.rows, *(part for part in account.parts if part.left_out)]
-    streams = width(row.stream for row in rows)
-    kinds = width(row.type for row in rows)
+    table: list[Sequence[str]] = [("  stream", "type", "found", "exported", "left out", "")]
     for row in rows:
-        mark = " " if row.good else "!"
-        numbers = f"{row.declared:>10,} {row.taken:>10,} {row.left_out:>10,}"
+        numbers = (f"{number:,}" for number in (row.declared, row.taken, row.left_out))
         why = row.why if row.unit == MESSAGES else f"{row.unit}: {row.why}"
-        print_line(f"{mark} {cell(row.stream, streams)}  {cell(row.type, kinds)} {numbers}  {why}".rstrip())
+        table.append((f"{' ' if row.good else '!'} {row.stream}", row.type, *numbers, why))
+    print_line(*aligned(table, left=2, indent="", text=True))
     if account.others:
         others = count_text(sum(account.others.values()), "message")
         print_line(f"note: {others} of types that {options.to} cannot store: {_first_few(sorted(account.others), 20)}")

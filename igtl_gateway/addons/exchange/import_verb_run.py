@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,11 @@ from igtl_gateway.addon import ConfigError, DamagedRecording, WireError, __versi
 from igtl_gateway.addon.reading import layout
 from igtl_gateway.addon.settings import Config
 from igtl_gateway.addon.terminal import (
-    cell,
+    aligned,
     count_text,
     print_json,
     print_line,
     size_text,
-    width,
 )
 from igtl_gateway.addon.untrusted import is_same
 from igtl_gateway.addon.writing import SessionWriter, written
@@ -93,15 +93,12 @@ def _row_facts(row: ImportedStream) -> dict[str, Any]:
 
 
 def _print(source: Source, facts: dict[str, Any]) -> None:
-    print_line(f"{source.title}: {len(source.rows)} rows; found, imported, left out")
-    streams = width(row.stream for row in source.rows)
-    kinds = width(row.type or row.unit for row in source.rows)
+    print_line(source.title)
+    table: list[Sequence[str]] = [("  stream", "type", "found", "imported", "left out", "")]
     for row in source.rows:
-        mark = " " if row.good else "!"
-        numbers = f"{row.declared:>12,} {row.taken:>12,} {row.left_out:>12,}"
-        print_line(
-            f"{mark} {cell(row.stream, streams)}  {cell(row.type or row.unit, kinds)} {numbers}  {row.why}".rstrip()
-        )
+        numbers = (f"{number:,}" for number in (row.declared, row.taken, row.left_out))
+        table.append((f"{' ' if row.good else '!'} {row.stream}", row.type or row.unit, *numbers, row.why))
+    print_line(*aligned(table, left=2, indent="", text=True))
     for note in facts["notes"]:
         print_line(f"note: {note}")
     if facts["failure"]:

@@ -18,6 +18,8 @@ MAX_RUNNING, _MAX_KEPT, _LINES = 3, 40, 400
 RUNNING, DONE, FAILED, CANCELLED = "running", "done", "failed", "cancelled"
 #: State of work that a recording has nothing for, and where an action has what its output has then.
 NOTHING = "nothing"
+#: The page wraps the lines.
+_COLUMNS = "4000"
 _HAS_NOTHING = {"review": ("review", "addon:NOTHING")}
 #: Begin of a line of `view` that a browser has no use for.
 _TERMINAL = "Press Ctrl-C"
@@ -151,7 +153,7 @@ class Job:
                 [*python_command("igtl_gateway"), *command],
                 on_line=self._take,
                 on_error_line=self._take,
-                env=child_environment() | {"NO_COLOR": "1", "COLUMNS": "100", PROGRESS_VARIABLE: "1"},
+                env=child_environment() | {"NO_COLOR": "1", "COLUMNS": _COLUMNS, PROGRESS_VARIABLE: "1"},
             )
         except OSError as error:
             self._take(f"cannot be started: {error.strerror}")

@@ -147,7 +147,7 @@ def _finite(value: Any) -> Any:
 def _print(fixed: Signal, lags: Sequence[tuple[Signal, Lag]]) -> None:
     print_line(f"behind {fixed.name}: {len(fixed.times_ns):,} samples, {1 / fixed.period_s:.1f} Hz")
     rows = [("stream", "lag", "95 %", "R²", "skew", "samples", ""), *(_row(*each) for each in lags)]
-    print_line(*aligned(rows, left=1))
+    print_line(*aligned(rows, left=1, text=True))
     unstamped = [signal.name for signal in (fixed, *(signal for signal, _ in lags)) if not signal.is_stamped]
     if unstamped:
         print_line(f"no stamps in {', '.join(unstamped)}: gateway times are used, so its lag contains the transport")

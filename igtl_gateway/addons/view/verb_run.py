@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from importlib.util import find_spec
@@ -40,16 +40,16 @@ from igtl_gateway.addon.reading import (
 from igtl_gateway.addon.ros import PointCloud2
 from igtl_gateway.addon.settings import Config
 from igtl_gateway.addon.terminal import (
-    cell,
+    aligned,
     clear_live_line,
     count_text,
+    duration_text,
     is_terminal,
     live_line,
     print_json,
     print_line,
     size_text,
     stop_event,
-    width,
 )
 from igtl_gateway.addon.untrusted import cpu_time
 from igtl_gateway.addon.writing import check_target, write_bytes, write_error, written
@@ -362,10 +362,12 @@ class _Progress:
 
 
 def _print(options: argparse.Namespace, path: Path, view: SessionView, facts: dict[str, Any]) -> None:
-    columns = width(shown.topic for shown in view.seen.shown.values())
+    rows: list[Sequence[str]] = [("topic", "messages", "shown as")]
     for shown in view.seen.shown.values():
         note = "not drawn" if shown.ros_type in view.counts.without_picture else shown.what.value
-        print_line(f"  {cell(shown.topic, columns)} {shown.count:>8,}  {note:<10} {shown.ros_type}")
+        rows.append((shown.topic, f"{shown.count:,}", f"{note}, {shown.ros_type}"))
+    if len(rows) > 1:
+        print_line(*aligned(rows, text=True))
     for topic, number in facts["refused"].items():
         print_line(f"? {topic}: {count_text(number, 'message')} cannot be drawn, the log has the reason")
     for line, number in facts["without_time"].items():
@@ -388,7 +390,7 @@ def _print(options: argparse.Namespace, path: Path, view: SessionView, facts: di
     all_of_them = count_text(facts["messages"], "message")
     drawn = all_of_them if facts["drawn"] == facts["messages"] else f"{facts['drawn']:,} of {all_of_them}"
     print_line(
-        f"{path}: {drawn} drawn in {facts['seconds']:.1f} s, "
+        f"{path}: {drawn} drawn in {duration_text(facts['seconds'] * NS_PER_S)}, "
         f"blueprint {facts['blueprint']}" + (", suture plan reviewed" if facts["reviewed"] else "")
     )
     if lag := facts["lag"]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+from igtl_gateway.base.quantities import duration_text
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
@@ -71,14 +72,14 @@ class ClockStep:
     def __str__(self) -> str:
         way = "forward (or the machine slept)" if self.step_ns > 0 else "back"
         if self.jump_ns:
-            then = f"gateway time jumps by {_seconds(self.jump_ns)}"
+            then = f"gateway time jumps by {duration_text(self.jump_ns)}"
         elif self.ahead_ns:
-            then = f"gateway time goes on, {_seconds(self.ahead_ns)} ahead of it"
+            then = f"gateway time goes on, {duration_text(self.ahead_ns)} ahead of it"
         elif self.step_ns > 0:
             then = "gateway time is ahead of it no more"
         else:
             then = "gateway time stands until the clock has caught up"
-        return f"the host's clock was set {way} by {_seconds(abs(self.step_ns))}: {then}"
+        return f"the host's clock was set {way} by {duration_text(abs(self.step_ns))}: {then}"
 
 
 class StreamTimes(Protocol):
@@ -101,7 +102,3 @@ def without_jump(stream: StreamTimes, step: ClockStep) -> None:
         stream.first_ns += step.jump_ns
         if stream.longest_pause_ns >= step.jump_ns:
             stream.longest_pause_ns -= step.jump_ns
-
-
-def _seconds(ns: int) -> str:
-    return f"{ns / NS_PER_S:,.3f} s"

@@ -12,6 +12,7 @@ from typing import Any
 
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.near import did_you_mean, near_names
+from igtl_gateway.base.quantities import duration_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
@@ -98,7 +99,7 @@ class MarkNote:
     def note(self) -> Note:
         """Return the note."""
         verb = {"": "", BEGIN: " begins", END: " ends"}[self.phase]
-        ago = f" ({self.ago_ns / NS_PER_S:.1f} s before)" if self.ago_ns >= _SAID_NS else ""
+        ago = f" ({duration_text(self.ago_ns)} before)" if self.ago_ns >= _SAID_NS else ""
         words = f"mark {self.label}{verb}{ago}" + (f": {self.text}" if self.text else "")
         data: dict[str, Any] = {"label": self.label, "text": self.text, "who": self.who}
         data |= {"phase": self.phase} if self.phase else {}
@@ -123,7 +124,7 @@ def ago_of_stamp(stamp_ns: int, now_ns: int) -> int:
     if not -FUTURE_NS <= age_ns < MAX_AGO_S * NS_PER_S:
         way = "ahead of" if age_ns < 0 else "behind"
         raise ConfigError(
-            f"mark: found a stamp {abs(age_ns) / NS_PER_S:,.1f} s {way} the bridge's clock, expected one of the session"
+            f"mark: found a stamp {duration_text(age_ns)} {way} the bridge's clock, expected one of the session"
         )
     return max(0, age_ns)
 

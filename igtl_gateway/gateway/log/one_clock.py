@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.quantities import duration_text, offset_text
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 
 Times = npt.NDArray[np.int64]
@@ -258,5 +259,4 @@ def _names(streams: Sequence[StreamTimes], members: Sequence[int]) -> str:
 
 
 def _ms(value_ns: int, *, sign: bool = False) -> str:
-    value = value_ns / NS_PER_MS
-    return f"{value:+,.1f} ms" if sign else f"{value:,.1f} ms"
+    return offset_text(value_ns) if sign else duration_text(value_ns)

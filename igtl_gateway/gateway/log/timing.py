@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
+from igtl_gateway.base.quantities import ANOTHER_SESSION_NS, duration_text
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
@@ -25,6 +26,10 @@ _STEPS = (NS_PER_S, 100 * NS_PER_MS, 10 * NS_PER_MS, NS_PER_MS)
 _ON_STEP_NS = 500
 #: Number of stamps from which on rounding can be judged.
 _ENOUGH = 10
+#: Less is not shown.
+_LEAST_SHOWN_NS = 1_000
+#: No session is as old: a clock that was not set counts from its start.
+_OTHER_EPOCH_NS = 20 * 366 * 86_400 * NS_PER_S
 #: Minima are kept of blocks so long: shorter than a clock drifts visibly (100 ppm: 1 ms), long enough to catch a
 #: message that did not wait.
 _BLOCK_NS = 10 * NS_PER_S
@@ -232,13 +237,14 @@ class StampTiming:
         if not self.stamped:
             return "no stamps"
         parts = [
-            f"clock offset + least latency {self.least_ns / NS_PER_MS:,.1f} ms (not separable)",
-            f"jitter {self.jitter_ns / NS_PER_MS:,.2f} ms",
+            age_text(self.least_ns, "received {} after the stamp (latency and clock offset)"),
         ]
+        if self.jitter_ns >= _LEAST_SHOWN_NS:
+            parts.append(f"jitter {duration_text(self.jitter_ns)}")
         if (drift := self.drift_ppm) is not None:
             parts.append(f"drift {drift:+.1f} ppm")
         if self.step_ns:
-            parts.append(f"stamps rounded to {self.step_ns / NS_PER_MS:g} ms")
+            parts.append(f"stamps rounded to {duration_text(self.step_ns)}")
         counted = (
             (self.unset, "unset"),
             (self.future, "in the future"),
@@ -255,6 +261,21 @@ def best(timings: Iterable[StampTiming]) -> StampTiming | None:
     All of them are stamped by one clock; what is older only waited longer.  None without any message.
     """
     return min(timings, key=lambda timing: (not timing.stamped, timing.least_ns), default=None)
+
+
+def age_text(age_ns: float, text: str) -> str:
+    """Return the age of messages on receipt in words: ``text`` with it, or what its sign or its size shows.
+
+    A stamp of more than a day ago is no latency: the message was recorded in another session, or its clock does not
+    count from 1970.
+    """
+    if age_ns < 0:
+        return f"stamped {duration_text(age_ns)} ahead of this clock"
+    if age_ns > ANOTHER_SESSION_NS:
+        is_unset = age_ns > _OTHER_EPOCH_NS
+        what = "stamped by a clock that does not count from 1970" if is_unset else "recorded in another session"
+        return f"{what}: offset {duration_text(age_ns)}"
+    return text.format(duration_text(age_ns))
 
 
 def _lies_on(stamp_ns: int, step_ns: int) -> bool:

@@ -18,8 +18,8 @@ from typing import Any
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError, GatewayError, Unavailable
 from igtl_gateway.base.extras import missing
+from igtl_gateway.base.quantities import count_text, size_text
 from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.next_steps import command, print_next
 from igtl_gateway.cli.options import default
 from igtl_gateway.cli.terminal import print_line

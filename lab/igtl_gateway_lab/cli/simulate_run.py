@@ -7,8 +7,8 @@ import json
 from dataclasses import replace
 
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.quantities import count_text, size_text
 from igtl_gateway.base.version import __version__
-from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.terminal import print_json, print_line, print_text
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.interfaces import SHARES

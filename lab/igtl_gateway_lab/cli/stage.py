@@ -16,7 +16,8 @@ from typing import Any
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError, RecordingError, Unavailable
 from igtl_gateway.base.extras import missing
-from igtl_gateway.cli.common import count_text, size_text, stop_event
+from igtl_gateway.base.quantities import count_text, size_text
+from igtl_gateway.cli.common import stop_event
 from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT
 from igtl_gateway.cli.terminal import clear_live_line, flush_outputs, is_terminal, live_line, print_json, print_line
 from igtl_gateway.edges.ros.env import prepare_environment

@@ -102,7 +102,7 @@ def test_a_mark_is_of_the_moment_at_which_a_person_began_to_write() -> None:
         Mark("early", "", "", 80),
         Mark("a", "", "me", 130, 165),
     )
-    assert MarkNote("slip", "deep", ago_ns=2_540_000_000).note().text == "mark slip (2.5 s before): deep"
+    assert MarkNote("slip", "deep", ago_ns=2_540_000_000).note().text == "mark slip (2.54 s before): deep"
     assert [ago_ns(2.5), ago_ns(0)] == [2_500_000_000, 0]
     for wrong in (-0.1, float("nan"), float("inf"), True, "2", None, 86_400):
         with pytest.raises(ConfigError, match="expected the seconds since then, 0 to 86,400"):
@@ -136,10 +136,10 @@ def test_the_age_of_a_stamp() -> None:
     now_ns = 1_000_000 * 10**9
     assert [ago_of_stamp(at, now_ns) for at in (0, -5, now_ns - 7, now_ns, now_ns + 10**8)] == [0, 0, 7, 0, 0]
     with pytest.raises(
-        ConfigError, match=r"found a stamp 0\.5 s ahead of the bridge's clock, expected one of the sess"
+        ConfigError, match=r"found a stamp 500 ms ahead of the bridge's clock, expected one of the sess"
     ):
         ago_of_stamp(now_ns + 5 * 10**8, now_ns)
-    with pytest.raises(ConfigError, match=r"found a stamp 1,000,000\.0 s behind the bridge's clock"):
+    with pytest.raises(ConfigError, match=r"found a stamp 12 days behind the bridge's clock"):
         ago_of_stamp(7, now_ns)
 
 

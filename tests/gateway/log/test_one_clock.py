@@ -47,7 +47,7 @@ def test_late_pictures_of_a_right_clock_stay_where_they_are() -> None:
     clock = one_clock([each for each, _ in both])
     assert (clock.name, clock.shifts, len(clock.notes)) == ("source", (0, 0), 1)
     assert away_ms(clock, both) == 0
-    assert "one clock is assumed" in clock.notes[0] and "99.0 ms older" in clock.notes[0]
+    assert "one clock is assumed" in clock.notes[0] and "99 ms older" in clock.notes[0]
 
 
 @pytest.mark.parametrize("ahead_ms", [3000, -3000, 200, 86_400_000])
@@ -121,7 +121,7 @@ def test_all_streams_that_are_late_or_behind_are_named() -> None:
         clock = one_clock([at_once, *late])
         assert (clock.name, clock.shifts) == ("source", (0, 0, 0))
         (note,) = clock.notes
-        assert f"the stamps of probe, needle are up to {late_ms:.1f} ms older on receipt than those of image" in note
+        assert f"the stamps of probe, needle are up to {late_ms} ms older on receipt than those of image" in note
 
 
 @pytest.mark.parametrize("ahead_ms", [1617, -4390, 30])
@@ -129,7 +129,7 @@ def test_what_a_correction_leaves_is_compared_with_the_ages_of_the_others(ahead_
     both = [stream("pose", ahead_ms=ahead_ms, late_ms=2), stream("picture", ahead_ms=-682, late_ms=2)]
     clock = one_clock([each for each, _ in both])
     assert away_ms(clock, both) > 600  # an offset that looks like a latency
-    assert any("one clock is assumed" in note and "picture" in note and "684.0 ms" in note for note in clock.notes)
+    assert any("one clock is assumed" in note and "picture" in note and "684 ms" in note for note in clock.notes)
 
 
 @pytest.mark.parametrize(("ticks", "is_named"), [(0, True), (1, True), (100, True), (50_000, False)])

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
-from igtl_gateway.gateway.log.timing import StampTiming, best
+from igtl_gateway.gateway.log.timing import StampTiming, age_text, best
+from tests.tables import table
 
 T0_NS = 1_767_225_600_000_000_000
 
@@ -27,7 +28,10 @@ def test_offset_and_least_latency_are_one_number_and_jitter_is_what_is_above() -
         assert timing.least_ns == offset_ns + 2 * NS_PER_MS
         assert abs(timing.jitter_ns - 2_450_000) < 100_000
         assert timing.most_ns - timing.least_ns == 4_900_000
-    assert "(not separable)" in str(timing) and timing.to_dict()["offset_plus_least_latency_ms"] == -4998.0
+    assert (
+        str(timing).startswith("stamped 5 s ahead of this clock")
+        and timing.to_dict()["offset_plus_least_latency_ms"] == -4998.0
+    )
     assert timing.future == 2_000 and heard(100).future == 0
 
 
@@ -72,3 +76,16 @@ def test_the_last_pause_between_two_arrivals() -> None:
     timing.reset()  # our clock was set
     timing.add(0, 9_000 * NS_PER_MS)
     assert timing.pause == (5_200 * NS_PER_MS, 4_100 * NS_PER_MS)
+
+
+@table(
+    ("age_ns", "words"),
+    [
+        (3_100_000, "age 3.10 ms"),
+        (-250_000_000, "stamped 250 ms ahead of this clock"),
+        (28_659_063_224_700_000, "recorded in another session: offset 332 days"),
+        (1_790_000_000 * NS_PER_S, "stamped by a clock that does not count from 1970: offset 57 years"),
+    ],
+)
+def test_an_age_in_words(age_ns: int, words: str) -> None:
+    assert age_text(age_ns, "age {}") == words
