@@ -232,6 +232,12 @@ LONGEST = (
 )
 
 
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Keeps pytest's own lines as wide as they are without COLUMNS."""
+    if reporter := session.config.pluginmanager.getplugin("terminalreporter"):
+        reporter._tw.fullwidth = 120
+
+
 def pytest_collection_finish() -> None:
     """Leaves what stays until the end out of Python's collections."""
     gc.collect()
