@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from igtl_gateway.convert.interfaces import interface_files as interface_files
     from igtl_gateway.convert.multi_arrays import MULTI_ARRAYS as MULTI_ARRAYS
     from igtl_gateway.convert.names import frames_of as frames_of
+    from igtl_gateway.convert.names import frames_of_name as frames_of_name
     from igtl_gateway.convert.names import short_device_name as short_device_name
     from igtl_gateway.convert.names import topic_token as topic_token
     from igtl_gateway.convert.pictures import JPEG as JPEG
@@ -103,7 +104,7 @@ HOMES: Homes = (
     ("convert.poses", "rotation_matrix unit_quaternion"),
     ("convert.structs", "Pose"),
     # Names: of devices, topics and frames; items of metadata that the gateway writes
-    ("convert.names", "frames_of short_device_name topic_token"),
+    ("convert.names", "frames_of frames_of_name short_device_name topic_token"),
     ("convert.frames", "frame_id"),
     ("gateway", "header_names"),
     (

@@ -123,7 +123,9 @@ LIVE: Mapping[str, bool | int | float] = {
 #: The rules by which devices, tools and topics get names; older recordings do not state them, which is 0.
 #: 1: each frame on /tf has one sender, what shares a name is noted, full names and frames of known programs are read;
 #: tracking data of frames of the tf tree and of single poses has the poses of its stamp.
-NAMING = 1
+#: 2: names of PLUS are divided as it divides them, and whole where it has cut them; tracking data whose tools have one
+#: parent are in its frame.
+NAMING = 2
 #: The rules by which messages are fitted to what a peer reads; older recordings do not state them, which is 0.
 #: 1: 3D Slicer gets no type that it does not read, but what shows the same, and CRTK arms in millimetres; until a peer
 #: has sent its first message, it gets only what every known program reads.

@@ -29,6 +29,7 @@ class ToRosContext:
         link: number of the link from which the message came.
         warnings: (code, sentence) pairs; the conversion appends one for each change of the data.
         reads_status: whether a pose that its sender marks as not valid is left out of /tf.
+        whole_names: whether names of tools are whole where PLUS has cut them.
         frames: name of a tool and frame of the stream → (parent, child) frame of the tool.
         made: ROS messages that earlier rows of the table built from the same message, by ROS type.
     """
@@ -45,6 +46,7 @@ class ToRosContext:
     warnings: list[tuple[str, str]] = field(default_factory=list)
     made: dict[str, Any] = field(default_factory=dict)
     reads_status: bool = False
+    whole_names: bool = False
     frames: Callable[[str, str], tuple[str, str]] = frames_of_name
 
 

@@ -20,10 +20,12 @@ UNNAMED = "unnamed"
 #: rmw rejects topics of more than 247 characters; about half of that remains for the rest of the topic.
 MAX_TOKEN = 120
 _NOT_IN_TOKEN = re.compile(r"[^A-Za-z0-9_]")
-#: ``To`` between a name and one that starts with a capital letter.
 #: A name of two frames and what divides it, searched in this order: one expression for both is quadratic.
 _WORD = re.compile(r"[A-Za-z0-9_]+\n?")
-_TO = re.compile(r"To(?=[A-Z])")
+#: ``To`` between a name and one that starts with a capital letter or, as PLUS divides it, a digit; before, a letter.
+_TO, _TO_CAPITAL = re.compile(r"To(?=[A-Z0-9])"), re.compile(r"To(?=[A-Z])")
+#: From this version of the rules of names on, see ``Config.naming``, names are divided and completed as PLUS does it.
+AS_PLUS = 2
 
 
 def topic_token(name: str) -> str:
@@ -37,16 +39,25 @@ def topic_token(name: str) -> str:
     return f"_{token}" if token[0].isdigit() else token
 
 
-def frames_of(name: str, base_frame: str) -> tuple[str, str]:
-    """Return (parent, child) frame of a transform: (B, A) for ``AToB``; any other name is a child of the base frame."""
-    if _WORD.fullmatch(name) and (found := _TO.search(name, 1)):
+def frames_of(name: str, base_frame: str, naming: int = AS_PLUS) -> tuple[str, str]:
+    """Return (parent, child) frame of a transform: (B, A) for ``AToB``; any other name is a child of the base frame.
+
+    ``naming``: version of the rules, see ``Config.naming``.
+    """
+    divides = _TO if naming >= AS_PLUS else _TO_CAPITAL
+    if _WORD.fullmatch(name) and (found := divides.search(name, 1)):
         return name[found.end() :].removesuffix("\n"), name[: found.start()]
     return base_frame, name or UNNAMED
 
 
-def frames_of_name(name: str, base_frame: str) -> tuple[str, str]:
+def frames_of_name(name: str, base_frame: str, naming: int = AS_PLUS) -> tuple[str, str]:
     """Return (parent, child) frame of a device or tool with any name; names that differ in signs can have the same."""
-    return frames_of(topic_token(name), base_frame)
+    return frames_of(topic_token(name), base_frame, naming)
+
+
+def frame_token(name: str) -> str:
+    """Return a frame in a part of a name with the characters that ``frames_of_name`` gives it."""
+    return _NOT_IN_TOKEN.sub("_", name)
 
 
 def name_hash(name: str) -> str:

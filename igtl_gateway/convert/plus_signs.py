@@ -7,11 +7,14 @@ Sources: ``vtkPlusOpenIGTLinkServer``, ``vtkPlusIgtlMessageFactory``, ``vtkPlusO
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
+from igtl_gateway.convert.names import AS_PLUS, MAX_DEVICE_NAME, frame_token
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.client_info import ClientInfo
 from igtl_gateway.wire.command import Command
+from igtl_gateway.wire.fields import cut_text
 from igtl_gateway.wire.text import String, text_of
 from igtl_gateway.wire.tracking import TrackingData
 
@@ -26,18 +29,56 @@ _POSE = re.compile(r"[A-Z][A-Za-z0-9]*To[A-Z][A-Za-z0-9]*")
 _PICTURE = re.compile(r"[A-Za-z0-9]+_[A-Za-z0-9]+")
 #: Type → form of the device names that PLUS gives it.
 _NAMES = {"TRANSFORM": _POSE, "POSITION": _POSE, "IMAGE": _PICTURE}
-#: A frame in the name of a picture; one that begins with a digit is a number.
-_FRAME = re.compile(r"[A-Za-z][A-Za-z0-9]*")
+#: A frame in the name of a picture; digits are a number.  Before ``AS_PLUS``: letters and digits.
+_FRAME, _FRAME_BEFORE = re.compile(r"[0-9]*[A-Z].*|[A-Za-z].*", re.DOTALL), re.compile(r"[A-Za-z][A-Za-z0-9]*")
+#: A transform of a tracked frame in the metadata of a picture: each has the frames of its name.
+_FIELD = re.compile(r"([^\n]+?)To([A-Z0-9][^\n]*?)Transform(?:Status)?")
+#: Digits of the place of a tool, at most.
+_DIGITS = 4
 _REPLY_DEVICE = re.compile(r"ACK_[0-9]{1,10}")
 
 
-def frame_of_picture(device: str) -> str:
+def frame_of_picture(device: str, keys: Iterable[str] = (), naming: int = AS_PLUS) -> str:
     """Return the frame in the name of a picture: ``Tracker`` of ``Image_Tracker``; "" without one.
 
-    PLUS joins the two frames of the transform that it embeds, ``EmbeddedTransformToFrame`` is the second one.
+    PLUS joins the two frames of the transform that it embeds, ``EmbeddedTransformToFrame`` is the second one.  Where
+    that has a ``_`` itself, the metadata show it if they name it.
+
+    Args:
+        device: of the picture.
+        keys: of its metadata, which have the transforms of its tracked frame.
+        naming: version of the rules of names, see ``Config.naming``.
     """
     name, _, frame = device.rpartition("_")
-    return frame if name and _FRAME.fullmatch(frame) else ""
+    if naming < AS_PLUS:
+        return frame if name and _FRAME_BEFORE.fullmatch(frame) else ""
+    parts = device.split("_")
+    if len(parts) > 2:
+        named = {one for key in keys if (found := _FIELD.fullmatch(key)) for one in found.groups()}
+        ends = ("_".join(parts[at:]) for at in range(1, len(parts)) if any(parts[:at]))
+        if end := next((end for end in ends if end in named), ""):
+            return frame_token(end)
+    return frame_token(frame) if name and _FRAME.fullmatch(frame) else ""
+
+
+def whole_tool_names(names: Sequence[str], items: Iterable[tuple[str, str]]) -> list[str]:
+    """Return the names of the tools of tracking data as they were before PLUS cut them to 20 bytes.
+
+    Args:
+        names: of the tools.
+        items: metadata as (key, value); PLUS has the place of each tool under its name and ``Index``.
+    """
+    whole = list(names)
+    for key, value in items:
+        name = key.removesuffix("Index")
+        place = int(value) if name != key and value.isdecimal() and len(value) <= _DIGITS else len(whole)
+        if (
+            place < len(whole)
+            and len(name.encode()) > MAX_DEVICE_NAME
+            and cut_text(name, MAX_DEVICE_NAME) == names[place]
+        ):
+            whole[place] = name
+    return whole
 
 
 def is_recent_plus(message: Message) -> bool:

@@ -7,7 +7,7 @@ and reports of their users.
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -177,7 +177,7 @@ def _surface_for_slicer(content: PolyData) -> Adapted:
     return replace(content, vertices=NO_CELLS, lines=lines), warning
 
 
-def _no_frame(_device: str) -> str:
+def _no_frame(_device: str, _keys: Iterable[str], _naming: int) -> str:
     return ""
 
 
@@ -200,7 +200,8 @@ class PeerProfile:
         adapt: class of a content → function that adapts it to the peer.
         expects: class of a content → function that returns the metadata which the peer expects with it.
         shows: returns whether only such a peer can send a message; None if no message shows that.
-        frame_of_picture: device name of a picture → the frame that it names; "" if it names none.
+        frame_of_picture: device name of a picture, the keys of its metadata and the version of the rules of names → the
+            frame that it names; "" if it names none.
         instead: type → what the peer gets in place of it, if it does not read it; ``*``: of all other types.
         if_asked: types that it gets once it has asked for them (GET_, STT_).
         greeting: whether its first message may be a STATUS without a device, whose code it never sets.
@@ -222,7 +223,7 @@ class PeerProfile:
     adapt: Mapping[type, Callable[[Any], Adapted]] = field(default_factory=dict)
     expects: Mapping[type, Expected] = field(default_factory=dict)
     shows: Callable[[Message], bool] | None = None
-    frame_of_picture: Callable[[str], str] = _no_frame
+    frame_of_picture: Callable[[str, Iterable[str], int], str] = _no_frame
     instead: Mapping[str, Substitute] = field(default_factory=dict)
     if_asked: frozenset[str] = frozenset()
     greeting: bool = False

@@ -20,7 +20,8 @@ from igtl_gateway.convert.columns import check_rows, set_text_fields, texts
 from igtl_gateway.convert.common_msgs import FrameTransform, PoseArray, TFMessage
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import TrackedTool, TrackingData
-from igtl_gateway.convert.names import topic_token
+from igtl_gateway.convert.names import frames_of_name, topic_token
+from igtl_gateway.convert.plus_signs import whole_tool_names
 from igtl_gateway.convert.poses import (
     pose_of_matrix,
     pose_of_position,
@@ -131,10 +132,26 @@ def _tools(content: Tracking, to: ToRosContext) -> list[tuple[str, Pose | None]]
     return list(known)
 
 
+def tool_names(content: Tracking, to: ToRosContext) -> list[str]:
+    """Return the names of the tools, whole where PLUS has cut them and states that."""
+    names = texts(content.elements, "name")
+    if to.whole_names and to.metadata:
+        return whole_tool_names(names, ((item.key, item.value) for item in to.metadata))
+    return names
+
+
+def frame_of_tools(content: Tracking, to: ToRosContext) -> str:
+    """Return the frame that is the parent of all tools by their names, ``AToB``; "" if there is none."""
+    if not 0 < len(content.elements) <= MAX_TOOLS:
+        return ""
+    parents = {frames_of_name(name, "")[0] for name in tool_names(content, to)}
+    return parents.pop() if len(parents) == 1 else ""
+
+
 def _read_tools(content: Tracking, to: ToRosContext) -> list[tuple[str, Pose | None]]:
     elements = content.elements
     check_rows(elements, f"{content.NAME} {to.device_name!r}", MAX_TOOLS)
-    names = texts(elements, "name")
+    names = tool_names(content, to)
     places = [f"{content.NAME} {to.device_name!r}, tool {name!r}" for name in names]
     readers: Iterable[Callable[[], Pose]]
     if isinstance(content, wire.QuaternionTrackingData):

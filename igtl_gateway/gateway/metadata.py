@@ -11,7 +11,7 @@ from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.base.values import value
 from igtl_gateway.config.configuration import NAMING
 from igtl_gateway.convert.igtl_msgs import MetadataItem
-from igtl_gateway.convert.names import MAX_DEVICE_NAME, short_device_name
+from igtl_gateway.convert.names import AS_PLUS, MAX_DEVICE_NAME, short_device_name
 from igtl_gateway.wire import Item, Message
 from igtl_gateway.wire.fields import decode_text, visible
 from igtl_gateway.wire.message import sorted_items
@@ -21,6 +21,8 @@ from igtl_gateway.wire.text import CODECS, US_ASCII, UTF_8
 FULL_NAME = "DeviceName"
 #: Name of the node in 3D Slicer, which cuts the device name to 20 bytes; see ``openigtlink-reference`` §10.2.
 NODE_NAME = "MRMLNodeName"
+#: Name of a pose of PLUS, which cuts the device name to 20 bytes (``vtkPlusIgtlMessageCommon`` of PlusLib 112a7f3).
+PLUS_NAME = "IGTL_DEVICE_NAME"
 #: Stamp of the ROS header, integer UTC nanoseconds: also forwarded by programs that leave the header's stamp at 0.
 #: To programs that show no other stamp, that of the message if ROS has none.
 STAMP = "ros.stamp"
@@ -42,7 +44,7 @@ class RestoredMetadata:
         stamp_ns: UTC ns; 0 if there is none.
         frame_id, child_frame_id: "" if there are none.
         items: the items of the user.
-        states_name: whether its sender states the full name where it has cut it: a gateway, or 3D Slicer.
+        states_name: whether its sender states the full name where it has cut it: a gateway, 3D Slicer or PLUS.
     """
 
     device_name: str
@@ -58,7 +60,8 @@ def restore_metadata(message: Message, naming: int = NAMING) -> RestoredMetadata
 
     Args:
         message: the message.
-        naming: rules of names; from 1 on, names that 3D Slicer has cut are read from its metadata.
+        naming: rules of names; from 1 on, names that 3D Slicer has cut are read from its metadata, from 2 on those of
+            PLUS.
     """
     name = visible(message.device_name)
     if not message.metadata:
@@ -70,23 +73,24 @@ def restore_metadata(message: Message, naming: int = NAMING) -> RestoredMetadata
             ours[item.key] = item.text
         else:
             items.append(_decoded_value(item))
-    in_slicer = _name_in_slicer(message) if naming else ""
+    keys = (NODE_NAME, PLUS_NAME) if naming >= AS_PLUS else (NODE_NAME,) if naming else ()
+    whole = _whole_name(message, keys)
     return RestoredMetadata(
-        ours.get(FULL_NAME) or in_slicer or name,
+        ours.get(FULL_NAME) or whole or name,
         int(ours.get(STAMP, "0")),
         ours.get(FRAME_ID, ""),
         ours.get(CHILD_FRAME_ID, ""),
         tuple(items),
-        bool(ours or in_slicer),
+        bool(ours or whole),
     )
 
 
-def _name_in_slicer(message: Message) -> str:
-    """Return the name of a node of 3D Slicer if the device name is its first 20 bytes, else ""."""
+def _whole_name(message: Message, keys: tuple[str, ...]) -> str:
+    """Return the name that 3D Slicer or PLUS has under a key if the device name is its first 20 bytes, else ""."""
     device = message.device_name.encode("utf-8", "surrogateescape")
     if len(device) < MAX_DEVICE_NAME:
         return ""
-    names = (item.value.rstrip(b"\0") for item in message.metadata if item.key == NODE_NAME)
+    names = (item.value.rstrip(b"\0") for item in message.metadata if item.key in keys)
     return next((visible(decode_text(name)) for name in names if name[:MAX_DEVICE_NAME] == device), "")
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+from igtl_gateway.config.configuration import NAMING
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.frames import frame_id
 from igtl_gateway.convert.names import MAX_DEVICE_NAME, frames_of_name, name_hash, short_device_name
@@ -28,12 +29,16 @@ MAX_NAMES = 10_000
 class FrameNames:
     """The frames of devices and tools, one for each name.
 
+    Args:
+        naming: version of the rules of names, see ``Config.naming``.
+
     Attributes:
         news: findings about names that are not reported yet.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, naming: int = NAMING) -> None:
         self.news: list[Finding] = []
+        self._naming = naming
         self._owners: dict[tuple[str, str], str] = {}  # parent and child → the name that they belong to
 
     def of(self, name: str, base_frame: str, *, keep: bool = True) -> tuple[str, str]:
@@ -41,7 +46,7 @@ class FrameNames:
 
         ``keep``: it has the frame from now on.
         """
-        parent, child = wanted = frames_of_name(name, base_frame)
+        parent, child = wanted = frames_of_name(name, base_frame, self._naming)
         while (owner := self._owners.get((parent, child), name)) != name:
             child = f"{child}_{name_hash(name)}"
         if not keep or (parent, child) in self._owners or len(self._owners) >= MAX_NAMES:

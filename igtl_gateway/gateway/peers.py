@@ -262,10 +262,15 @@ class Peers:
         return self._peers.get(link)
 
     def up(self, link: int, facts: dict[str, Any], now_ns: int) -> Peer:
-        """Add the peer of a new link; ``facts`` are the data of its note: ``peer``, ``local``, ``role``."""
+        """Add the peer of a new link.
+
+        ``facts`` are the data of its note: ``peer``, ``local``, ``role``, and ``asked``, the address of a server as the
+        configuration has it, if that is another one, such as localhost.
+        """
         address, role = str(facts.get("peer", "")), str(facts.get("role", ""))
         place = str(facts.get("local", "")) if role == "server" else address
-        rows = (row.profile for row in self._config.peers if matches(row.at, place) or matches(row.at, address))
+        places = [place, address, *filter(None, [str(facts.get("asked", ""))])]
+        rows = (row.profile for row in self._config.peers if any(matches(row.at, one) for one in places))
         name = next(rows, self._config.peer_profile)
         # who bridges CRTK arms has peers that read their types
         unknown = UNRECOGNISED if self._config.cautious and not self._config.all_arms else DEFAULT

@@ -94,7 +94,7 @@ class Streams:
         self._tokens: dict[str, str] = {}  # topic token → its device
         self._topics: dict[str, str] = {}  # topic → the device whose messages it has
         self._sources: dict[str, str] = {}  # stream to peers → its topic
-        self._frames = FrameNames() if config.naming else None
+        self._frames = FrameNames(config.naming) if config.naming else None
         self._news: list[Finding] = []
         self._devices: dict[str, str] = {}  # short device name → its full name
         self._qos: dict[str, Qos] = {}
@@ -203,7 +203,9 @@ class Streams:
 
     def frames(self, name: str, base_frame: str, *, keep: bool = True) -> tuple[str, str]:
         """Return (parent, child) frame of a device, or of a tool in tracking data; ``keep``: it has it from now on."""
-        return self._frames.of(name, base_frame, keep=keep) if self._frames else frames_of_name(name, base_frame)
+        if self._frames:
+            return self._frames.of(name, base_frame, keep=keep)
+        return frames_of_name(name, base_frame, self._config.naming)
 
     def _share_topic(self, topic: str, igtl_type: str, device: str) -> None:
         """Note that a topic without ``{device}`` has the messages of several devices."""

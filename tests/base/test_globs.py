@@ -117,7 +117,7 @@ def test_configurations_name_the_place_of_a_long_glob(settings: dict[str, object
         Config.from_dict(settings)
 
 
-_FRAMES = re.compile(r"^([A-Za-z0-9_]+?)To([A-Z][A-Za-z0-9_]*)$")
+_FRAMES = re.compile(r"^([A-Za-z0-9_]+?)To([A-Z0-9][A-Za-z0-9_]*)$")
 
 
 @given(st.lists(st.sampled_from(["To", "A", "b", "T", "o", "_", "-", "\n", "0"]), max_size=8).map("".join))

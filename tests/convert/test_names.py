@@ -53,7 +53,12 @@ def test_names_without_limit_stay_apart() -> None:
     ],
 )
 def test_frames(name: str, frames: tuple[str, str]) -> None:
-    assert frames_of(name, "base") == frames
+    assert frames_of(name, "base") == frames_of(name, "base", naming=1) == frames
+
+
+@table(("name", "frames"), [("ProbeTo3D", ("3D", "Probe"))])
+def test_frames_as_plus_divides_names(name: str, frames: tuple[str, str]) -> None:
+    assert frames_of(name, "base") == frames and frames_of(name, "base", naming=1) == ("base", name)
 
 
 @given(st.text(max_size=60))

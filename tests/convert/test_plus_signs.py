@@ -16,6 +16,7 @@ from igtl_gateway.convert.plus_signs import (
     is_any_plus,
     is_recent_plus,
     may_show_plus,
+    whole_tool_names,
 )
 from igtl_gateway.wire import Message, decode
 from igtl_gateway.wire.body import Raw
@@ -70,11 +71,43 @@ def test_which_streams_may_still_show_plus() -> None:
     ("device", "frame"),
     [
         ("Image_Tracker", "Tracker"), ("US_Image_Tracker", "Tracker"), ("Image_2", ""), ("_Tracker", ""), ("Image", ""),
-        ("Image_", ""), ("Image_Track er", ""), ("", ""), ("Image_2nd", ""), ("Image_T2", "T2"),
+        ("Image_", ""), ("", ""), ("Image_2nd", ""), ("Image_T2", "T2"), ("__", ""),
     ],
 )  # fmt: skip
 def test_frames_of_pictures(device: str, frame: str) -> None:
-    assert frame_of_picture(device) == frame
+    assert frame_of_picture(device) == frame_of_picture(device, ["ProbeToTrackerTransform"], naming=1) == frame
+
+
+@table(
+    ("device", "keys", "frame"),
+    [
+        ("Image_Track er", [], "Track_er"),
+        ("Image_3DTracker", [], "3DTracker"),
+        ("Image_Ref_Frame", [], "Frame"),
+        ("Image_Ref_Frame", ["ProbeToRef_FrameTransform"], "Ref_Frame"),
+        ("Image_Ref_Frame", ["Ref_FrameToTrackerTransformStatus"], "Ref_Frame"),
+        ("Image_Ref_Frame", ["ProbeToFrameTransform", "Timestamp"], "Frame"),
+        ("Image_A_2", ["ATo2Transform"], "2"),
+    ],
+)
+def test_frames_of_pictures_as_plus_names_them(device: str, keys: list[str], frame: str) -> None:
+    assert frame_of_picture(device, keys) == frame
+
+
+@table(
+    ("names", "items", "whole"),
+    [
+        (["NeedleBaseToReferenc"], {"NeedleBaseToReferenceIndex": "0"}, ["NeedleBaseToReference"]),
+        (["Probe", "NeedleBaseToReferenc"], {"NeedleBaseToReferenceIndex": "1"}, ["Probe", "NeedleBaseToReference"]),
+        (["NeedleBaseToReferenc"], {"NeedleBaseToReferenceIndex": "1"}, ["NeedleBaseToReferenc"]),
+        (["NeedleBaseToReferenc"], {"NeedleBaseToReferenceIndex": "9" * 5000}, ["NeedleBaseToReferenc"]),
+        (["NeedleBaseToReferenc"], {"StylusBaseToReferenceIndex": "0"}, ["NeedleBaseToReferenc"]),
+        (["ProbeToTracker"], {"ProbeToTrackerIndex": "0"}, ["ProbeToTracker"]),
+        ([], {"Index": "0", "": "0"}, []),
+    ],
+)
+def test_names_of_tools_that_plus_has_cut(names: list[str], items: dict[str, str], whole: list[str]) -> None:
+    assert whole_tool_names(names, items.items()) == whole
 
 
 def pose(device: str, ticks: int, version: int = 1, kind: str = "TRANSFORM") -> Message:

@@ -21,6 +21,7 @@ from igtl_gateway.convert.raw import raw_message
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.gateway import LINKS_TOPIC, Gateway, Session
 from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.wire import Message, Raw, encode
 from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.client_info import ClientInfo
@@ -299,3 +300,12 @@ def test_a_bridge_of_crtk_arms_sends_their_types() -> None:
     made = script(Config(profile="crtk:/PSM*").watched())
     made.tick(0.3)  # until then it might be 3D Slicer
     assert made.ros("/igtl/out/joints", numbers()) == ["igtl NDARRAY/joints v1 to 1"]
+
+
+def test_a_server_has_the_profile_of_its_address_as_the_configuration_has_it() -> None:
+    """A name of a host, and the address that it has."""
+    config = Config(peers=(PeerRow("scanner.local:18944", "plus"),))
+    for asked, profile in (("scanner.local:18944", "plus"), ("other:18944", "unrecognised"), ("", "unrecognised")):
+        peers = Peers(replace(config, cautious=True))
+        facts = {"peer": "10.0.0.7:18944", "role": "client"} | ({"asked": asked} if asked else {})
+        assert peers.up(1, facts, 0).profile.name == profile

@@ -21,6 +21,8 @@ FACTORY = frozenset(
     "STP_QTDATA STP_TDATA STRING STT_POLYDATA STT_QTDATA STT_TDATA TDATA TRAJ TRANSFORM CLIENTINFO TRACKEDFRAME "
     "USMESSAGE".split()
 )
+#: Bytes of a device name, to which it cuts one; version 2 has the whole name in its metadata.
+NAME_SIZE = 20
 PLACE = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 10.0, 20.0, 30.0)
 
 
@@ -57,8 +59,12 @@ def frame(
     """A tracked frame: one TRANSFORM for each name, all with one stamp."""
     ticks = (1_700_000_000 << 32) + number * ticks_per_frame
     metadata = (Item.of("TransformStatus", status), Item.of("TransformValid", str(int(status == "OK"))))
-    items = metadata if version > 1 else ()
-    return [join(encode(Message("TRANSFORM", name, Transform(PLACE), ticks, version, 0, items))) for name in names]
+    messages = []
+    for name in names:
+        whole = (Item.of("IGTL_DEVICE_NAME", name),) if len(name) > NAME_SIZE else ()
+        items = (*whole, *metadata) if version > 1 else ()
+        messages.append(Message("TRANSFORM", name[:NAME_SIZE], Transform(PLACE), ticks, version, 0, items))
+    return [join(encode(message)) for message in messages]
 
 
 def client_info(*attributes: str) -> str:

@@ -86,7 +86,7 @@ def _clean_mark(mark: MarkNote, context: Context) -> MarkNote:
 def _data(data: dict[str, Any], context: Context) -> dict[str, Any]:
     kept: dict[str, Any] = {}
     for key, value in data.items():
-        if key in ("peer", "local") and isinstance(value, str):
+        if key in ("peer", "local", "asked") and isinstance(value, str):
             kept[key] = context.names.address(value, "peer" if key == "peer" else "host")
             context.report.add("address")
         elif key == REFUSED_DEVICE and isinstance(value, str):

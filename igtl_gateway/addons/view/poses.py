@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from igtl_gateway.addon.messages import frames_of_name
 from igtl_gateway.addon.ros import PoseArray, PoseStamped, TFMessage, TrackingData, TransformStamped
 from igtl_gateway.addons.view.canvas import Canvas
 
@@ -28,10 +29,10 @@ def draw_poses(message: PoseArray, canvas: Canvas) -> None:
 
 
 def draw_tracking(message: TrackingData, canvas: Canvas) -> None:
-    """igtl_msgs/TrackingData: each tool under its name."""
+    """igtl_msgs/TrackingData: each tool under its name; one that is named ``AToB`` is in B, as on /tf."""
     frame = canvas.frame(message.header.frame_id)
     for tool in message.tools:
-        _tool(tool.pose, frame, canvas, canvas.part(tool.name))
+        _tool(tool.pose, canvas.frame(frames_of_name(tool.name, frame)[0]), canvas, canvas.part(tool.name))
 
 
 def draw_tf(message: TFMessage, canvas: Canvas) -> None:

@@ -102,7 +102,8 @@ class LinkRegistry:
         if dialer:
             dialer.link = link
             self._dialers[link.number] = dialer
-        self._announce(link)
+        asked = {"asked": dialer.target} if dialer and dialer.target != peer else {}
+        self._announce(link, **asked)
 
     def pair_up(
         self, client: socket.socket | TlsSocket, peer: str, server: socket.socket | TlsSocket, target: str
@@ -164,7 +165,7 @@ class LinkRegistry:
             self._check_later()
         return link
 
-    def _announce(self, link: Link, **facts: int) -> None:
+    def _announce(self, link: Link, **facts: int | str) -> None:
         data = {"peer": link.peer, "local": link.local, "role": link.role} | link.facts | facts
         text = f"{link.peer} connected to {link.local}" if link.role == "server" else f"connected to {link.peer}"
         note = Note(Level.INFO, "link_up", text, data=data)

@@ -100,7 +100,7 @@ def _is_hex(value: Any) -> bool:
 _HEX = frozenset("0123456789abcdefABCDEF")
 #: Facts that programs act on, and what they have to be.
 _FACTS: Mapping[str, Callable[[Any], bool]] = {
-    **dict.fromkeys(("peer", "local", "role", "reason"), _is_text),
+    **dict.fromkeys(("peer", "local", "role", "reason", "asked"), _is_text),
     **dict.fromkeys(
         ("sent_messages", "received_bytes", "count", "step_ns", "jump_ns", "ahead_ns", "ago_ns"), _is_number
     ),

@@ -169,7 +169,10 @@ class Router:
         if not self._config.naming or not isinstance(message.content, Image | Video):
             return ""
         peer = self._peers.get(link)
-        return peer.profile.frame_of_picture(visible(message.device_name)) if peer else ""
+        if peer is None:
+            return ""
+        keys = (item.key for item in message.metadata)
+        return peer.profile.frame_of_picture(visible(message.device_name), keys, self._config.naming)
 
     def _names(
         self, entry: Entry, message: Message, restored: RestoredMetadata, name: str, stream: ToRosStream

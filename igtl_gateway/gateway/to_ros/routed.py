@@ -6,13 +6,15 @@ from dataclasses import replace
 
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.context import ToRosContext
-from igtl_gateway.convert.names import short_device_name
+from igtl_gateway.convert.names import AS_PLUS, short_device_name
+from igtl_gateway.convert.tracking import frame_of_tools
 from igtl_gateway.gateway.metadata import RestoredMetadata
 from igtl_gateway.gateway.streams import Streams, ToRosStream
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.bind import BindChild
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.fields import visible
+from igtl_gateway.wire.tracking import QuaternionTrackingData, TrackingData
 
 
 def context_of(
@@ -25,8 +27,12 @@ def context_of(
     link: int,
     stamp_ns: int,
 ) -> ToRosContext:
-    """Return the context of the conversions of a message from a link, with this stamp for the ROS headers."""
-    return ToRosContext(
+    """Return the context of the conversions of a message from a link, with this stamp for the ROS headers.
+
+    Tracking data whose tools have one parent are in its frame, unless the configuration or the sender names another.
+    """
+    as_plus = config.naming >= AS_PLUS
+    to = ToRosContext(
         restored.device_name,
         stamp_ns,
         frame_id,
@@ -37,8 +43,14 @@ def context_of(
         message.message_id,
         link,
         reads_status=config.knows_peers,
+        whole_names=as_plus,
         frames=streams.frames,
     )
+    content = message.content
+    if as_plus and isinstance(content, TrackingData | QuaternionTrackingData):
+        if not (stream.row.frame_id or restored.frame_id) and (frame := frame_of_tools(content, to)):
+            return replace(to, frame_id=frame)
+    return to
 
 
 def child_message(
