@@ -256,6 +256,7 @@ UNMIRRORED = (
     "record/test_node_reader.py",  # our files in a reader of another language
     "test_costs.py",  # all stages of a message
     "test_mistyped_names.py",  # all verbs
+    "addons/view/test_plus.py",  # what PLUS sends, drawn
     "integration",
     "peers",
     "native/test_foreign.py",  # the native passage, on foreign bytes
