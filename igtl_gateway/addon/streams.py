@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from igtl_gateway.api.csv_lines import number_cell as number_cell
     from igtl_gateway.api.csv_lines import rows_of_cell as rows_of_cell
     from igtl_gateway.api.igtl_columns import POSE_TYPES as POSE_TYPES
+    from igtl_gateway.api.igtl_columns import crcs as crcs
     from igtl_gateway.api.igtl_columns import pose_columns as pose_columns
     from igtl_gateway.api.igtl_columns import pose_rows as pose_rows
     from igtl_gateway.api.igtl_columns import quaternions_of as quaternions_of
@@ -62,7 +63,7 @@ HOMES: Homes = (
     # Poses, and numbers of joints by their names
     ("api.poses", "between_poses matrices_of"),
     ("api.posing", "tools_of transforms_of"),
-    ("api.igtl_columns", "POSE_TYPES pose_columns pose_rows quaternions_of"),
+    ("api.igtl_columns", "POSE_TYPES crcs pose_columns pose_rows quaternions_of"),
     ("api.named_numbers", "NAME_FIELDS by_name completed"),
     # Pictures and where they are, clouds
     ("api.images", "Images find_row"),

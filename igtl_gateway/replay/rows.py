@@ -123,6 +123,14 @@ class Rows:
         payload = (bytes(self.payload(row)),)
         return Entry(*numbers, head.kind, head.channel, head.type, payload, head.links, int(self.stamps[row]))
 
+    def entries(self, heads: Heads) -> Iterator[Entry]:
+        """The objects of all of them."""
+        known, buffers = heads.known, self.buffers
+        columns = (self.numbers, self.times, self.heads, self.which, self.begins, self.ends, self.stamps)
+        for number, time, head, which, begin, end, stamp in zip(*(each.tolist() for each in columns), strict=True):
+            its = known[head]
+            yield Entry(number, time, its.kind, its.channel, its.type, (buffers[which][begin:end],), its.links, stamp)
+
     def compact(self, first: int, most_buffers: int) -> Rows:
         """The same with own copies of the payloads in buffers from ``first`` on, so that these can be released.
 

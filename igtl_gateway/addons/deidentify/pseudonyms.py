@@ -12,7 +12,13 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+import numpy.typing as npt
+
 from igtl_gateway.addon import NS_PER_S, GatewayError, matches
+
+Times = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
 
 #: Least length of a key, bytes.
 MIN_KEY_BYTES = 16
@@ -173,6 +179,14 @@ class TimeShift:
             )
         self.moved()
         return new
+
+    def rows(self, times: Times) -> tuple[Times, Mask, Mask]:
+        """Return moved times as `ns` does, but uncounted; which of them are moved, and for which it would not raise."""
+        if not self.by_ns:
+            return times, np.zeros(len(times), np.bool_), np.ones(len(times), np.bool_)
+        moved = times >= _FIRST_DATE_NS
+        new = np.where(moved, times + self.by_ns, times)
+        return new, moved, ~moved | ((new > 0) & (new < (1 << 32) * NS_PER_S))
 
     def ticks(self, ticks: int) -> int:
         """Return a moved time in ticks of 2^-32 s: the fraction stays to the bit."""

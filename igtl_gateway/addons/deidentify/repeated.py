@@ -9,16 +9,27 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from struct import Struct, error, unpack_from
+from typing import Any
 
-from igtl_gateway.addon import ConversionError, ns_to_ros, ros_to_ns
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.addon import NS_PER_S, ConversionError, ns_to_ros, ros_to_ns
 from igtl_gateway.addon.igtl import HEADER_SIZE, Position, Transform, crc64
 from igtl_gateway.addon.messages import header_names
-from igtl_gateway.addon.reading import Entry, Kind
+from igtl_gateway.addon.reading import Entry, Heads, Kind, Rows, gathered
+from igtl_gateway.addon.streams import crcs
 from igtl_gateway.addons.deidentify.context import Context
+from igtl_gateway.addons.deidentify.pseudonyms import TimeShift
 
+Bytes = npt.NDArray[np.uint8]
+Mask = npt.NDArray[np.bool_]
+
+#: Messages of a stream from which on they are changed at once.
+_FEW = 8
 #: Streams of which a message is kept; more are invented by a peer.
 _MOST_STREAMS = 1_000
 #: Places in an OpenIGTLink header, and of the message number in the extended header behind it.
@@ -64,6 +75,25 @@ class _Ros:
         made[self.made_numbers :] = data[self.given_numbers :]
         return bytes(made)
 
+    def apply_rows(self, rows: Bytes, times: TimeShift) -> tuple[Mask, Bytes, npt.NDArray[np.int64]]:
+        """As `apply` for messages (n, size): which of them it changes, the new ones, and how many stamps are moved."""
+        made = np.tile(np.frombuffer(self.made, np.uint8), (len(rows), 1))
+        good, moved, begin = np.ones(len(rows), np.bool_), np.zeros(len(rows), np.int64), 0
+        for place, new_place in zip(self.given_stamps, self.made_stamps, strict=True):
+            good &= _are_equal(rows, self.given, begin, place)
+            begin = place + _STAMP.size
+            words = np.ascontiguousarray(rows[:, place:begin])
+            given = words.view("<i4")[:, 0].astype(np.int64) * NS_PER_S + words.view("<u4")[:, 1]
+            new, are_moved, fits = times.rows(given)
+            good &= fits
+            moved += are_moved
+            seconds, rest = np.divmod(new, NS_PER_S)
+            stamps = np.stack((seconds.astype(np.int32).view(np.uint32), rest.astype(np.uint32)), axis=1)
+            made[:, new_place : new_place + _STAMP.size] = stamps.astype("<u4").view(np.uint8)
+        good &= _are_equal(rows, self.given, begin, self.given_numbers)
+        made[:, self.made_numbers :] = rows[:, self.given_numbers :]
+        return good, made, moved
+
 
 @dataclass(frozen=True, slots=True)
 class _Igtl:
@@ -99,6 +129,41 @@ class _Igtl:
         _U64.pack_into(made, _CRC_AT, crc64(memoryview(made)[HEADER_SIZE:]))
         return bytes(made)
 
+    def apply_rows(self, rows: Bytes, times: TimeShift) -> tuple[Mask, Bytes, npt.NDArray[np.int64]]:
+        """As of `_Ros`."""
+        given, (begin, end) = self.given, self.given_content
+        good = _are_equal(rows, given, 0, _TICKS_AT) & _are_equal(rows, given, _SIZE_AT, _CRC_AT)
+        good &= _are_equal(rows, given, HEADER_SIZE, min(begin, _NUMBER_AT))
+        good &= _are_equal(rows, given, _NUMBER_AT + 4, begin) & _are_equal(rows, given, end, len(given))
+        good &= crcs(rows[:, HEADER_SIZE:]) == _words(rows, _CRC_AT)
+        content = np.ascontiguousarray(rows[:, begin:end])
+        good &= np.isfinite(content.view(">f4")).all(axis=1)
+        made = np.tile(np.frombuffer(self.made, np.uint8), (len(rows), 1))
+        if begin > HEADER_SIZE:
+            made[:, _NUMBER_AT : _NUMBER_AT + 4] = rows[:, _NUMBER_AT : _NUMBER_AT + 4]
+        made[:, slice(*self.made_content)] = content
+        ticks = _words(rows, _TICKS_AT)
+        new, moved, fits = times.rows((ticks >> np.uint64(32)).astype(np.int64) * NS_PER_S)
+        fraction = ticks & np.uint64(0xFFFFFFFF)
+        _put_words(made, _TICKS_AT, (new // NS_PER_S).astype(np.uint64) << np.uint64(32) | fraction)
+        _put_words(made, _CRC_AT, crcs(made[:, HEADER_SIZE:]))
+        return good & fits, made, moved.astype(np.int64)
+
+
+def _are_equal(rows: Bytes, sample: bytes, begin: int, end: int) -> Mask:
+    """Which messages (n, size) have the bytes of a sample from ``begin`` to ``end``."""
+    if begin >= end:
+        return np.ones(len(rows), np.bool_)
+    return np.asarray((rows[:, begin:end] == np.frombuffer(sample, np.uint8)[begin:end]).all(axis=1))
+
+
+def _words(rows: Bytes, at: int) -> npt.NDArray[np.uint64]:
+    return np.ascontiguousarray(rows[:, at : at + 8]).view(">u8")[:, 0].astype(np.uint64)
+
+
+def _put_words(rows: Bytes, at: int, words: npt.NDArray[np.uint64]) -> None:
+    rows[:, at : at + 8] = words.astype(">u8").view(np.uint8).reshape(-1, 8)
+
 
 @dataclass(frozen=True, slots=True)
 class _Known:
@@ -107,6 +172,53 @@ class _Known:
     message: _Ros | _Igtl
     channel: str
     rules: Counter[str]
+
+
+@dataclass(slots=True)
+class _Group:
+    """Messages of a stream that were changed at once; ``moved``: of each, the number of times that are moved."""
+
+    known: _Known
+    current: Callable[[], _Known | None]
+    entries: list[Any]
+    moved: list[int]
+    used: Counter[int] = field(default_factory=Counter)
+
+
+class RepeatedRows:
+    """Messages in rows that were changed at once, if none before them is another one of their stream."""
+
+    def __init__(self, count: int) -> None:
+        self._of = np.full(count, -1, np.int64)
+        self._place = np.zeros(count, np.int64)
+        self._groups: list[_Group] = []
+
+    def add(self, rows: npt.NDArray[np.int64], group: _Group) -> None:
+        """Add the rows of some messages."""
+        self._of[rows], self._place[rows] = len(self._groups), np.arange(len(rows))
+        self._groups.append(group)
+
+    def __iter__(self) -> Iterator[Entry | None]:
+        """Yield the new entry of each row; None for those that are to be changed one by one."""
+        for of, place in zip(self._of.tolist(), self._place.tolist(), strict=True):
+            if of < 0 or (group := self._groups[of]).known is not group.current():
+                yield None
+                continue
+            group.used[group.moved[place]] += 1
+            yield Entry(*group.entries[place])
+
+    def count(self, context: Context) -> None:
+        """Count what was taken."""
+        report = context.report
+        for group in self._groups:
+            rules, total = group.known.rules, group.used.total()
+            report.rules.update({rule: number * total for rule, number in rules.items() if total})
+            times = sum(moved * number for moved, number in group.used.items())
+            report.rules["time"] += times
+            changed = Counter(dict.fromkeys(rules, total))
+            changed.update({"time": total - group.used[0]} if times else {})
+            if changed := +changed:
+                report.streams.setdefault(group.known.channel or "notes", Counter()).update(changed)
 
 
 class Repeated:
@@ -141,6 +253,56 @@ class Repeated:
         if changed:
             report.streams.setdefault(known.channel or "notes", Counter()).update(changed)
         return Entry(entry.seq, stamp_ns, entry.kind, known.channel, entry.type, (data,), entry.links, source_ns)
+
+    def rows(self, rows: Rows, heads: Heads) -> RepeatedRows:
+        """Change the messages in rows that repeat one of their stream, as `apply` does; counted when taken."""
+        found = RepeatedRows(len(rows))
+        if rows.times.dtype != np.int64 or rows.stamps.dtype != np.int64:
+            return found
+        sizes = rows.ends - rows.begins
+        pairs, which, counts = np.unique(
+            np.stack((rows.heads.astype(np.int64), sizes)), axis=1, return_inverse=True, return_counts=True
+        )
+        for pair, count in enumerate(counts.tolist()):
+            head, size = heads.known[int(pairs[0, pair])], int(pairs[1, pair])
+            key = head.kind, head.channel, head.type, size
+            places = np.flatnonzero(which.reshape(-1) == pair)
+            if count >= _FEW and key in self._known and (rows.which[places] == rows.which[places[0]]).all():
+                self._add(found, rows.where(places), places, key, head.links)
+        return found
+
+    def _add(
+        self,
+        found: RepeatedRows,
+        rows: Rows,
+        places: npt.NDArray[np.int64],
+        key: tuple[Kind, str, str, int],
+        links: tuple[int, ...],
+    ) -> None:
+        """Change messages of one stream and size."""
+        known, times, (kind, _, type_name, size) = self._known[key], self._context.times, key
+        data = np.frombuffer(rows.buffers[rows.which[0]], np.uint8)
+        good, made, moved = known.message.apply_rows(gathered(data, rows.begins, size), times)
+        stamps, are_moved, fits = times.rows(rows.times)
+        good, moved = good & fits, moved + are_moved
+        sources = rows.stamps
+        if kind is Kind.ROS_IN:
+            sources, are_moved, fits = times.rows(rows.stamps)
+            good, moved = good & fits, moved + are_moved
+        chosen = np.flatnonzero(good)
+        step = made.shape[1]
+        octets = made[chosen].tobytes()
+        messages = [octets[at : at + step] for at in range(0, len(octets), step)]
+        if kind is Kind.IGTL_IN:
+            of_sender = [header_names(message)[2] for message in messages]
+        else:
+            of_sender = sources[chosen].tolist()
+        columns = (rows.numbers[chosen].tolist(), stamps[chosen].tolist(), messages, of_sender)
+        entries = [
+            (number, stamp_ns, kind, known.channel, type_name, (message,), links, source_ns)
+            for number, stamp_ns, message, source_ns in zip(*columns, strict=True)
+        ]
+        found.add(places[chosen], _Group(known, lambda: self._known.get(key), entries, moved[chosen].tolist()))
 
     def learn(self, entry: Entry, made: Entry, rules: Counter[str]) -> None:
         """Keep what the rules have made of an entry; ``rules``: what they counted."""

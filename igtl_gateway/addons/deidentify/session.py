@@ -9,6 +9,8 @@ from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
 
+import numpy as np
+
 from igtl_gateway.addon import DamagedRecording, GatewayError, Unavailable, UnsupportedRecording, WireError, __version__
 from igtl_gateway.addon.checking import (
     IMPORTED,
@@ -23,11 +25,14 @@ from igtl_gateway.addon.igtl import BODIES, Bind, visible
 from igtl_gateway.addon.messages import NAME_ITEM, header_names, restore_metadata, short_device_name
 from igtl_gateway.addon.reading import (
     Entry,
+    Head,
+    Heads,
     Kind,
     Level,
     Note,
     Qos,
     RecordedStamps,
+    Rows,
     SessionFile,
     added_marks,
     carry_marks,
@@ -35,6 +40,7 @@ from igtl_gateway.addon.reading import (
     input_groups,
     layout,
     recorded_acceptance,
+    rows_of,
 )
 from igtl_gateway.addon.settings import Config
 from igtl_gateway.addon.writing import Definition, SessionWriter, written
@@ -57,6 +63,7 @@ DERIVED_FROM = "derived_from"
 _KEPT = ("igtl_gateway_version", layout.PART_KEY, layout.SNAPSHOT_KEY)
 _NUMBERS = re.compile(r"[0-9]{1,9}([.][0-9]{1,9}){0,3}", re.ASCII)
 _INPUTS = (Kind.IGTL_IN, Kind.ROS_IN)
+_NAME = NAME_ITEM.encode()
 
 
 def deidentify(
@@ -103,6 +110,11 @@ def deidentify(
         raise GatewayError(f"cannot write to {out}: {error.strerror}") from None
     finally:
         patterns.close()
+
+
+def _may_have_others(head: Head) -> bool:
+    """Return whether each message may have other names: links, and children of a BIND."""
+    return head.kind is Kind.LINK or head.type == "BIND"
 
 
 def _seal_of(path: Path) -> SealVerification | None:
@@ -164,7 +176,7 @@ class _Run:
         )  # fmt: skip
         numbers.seq, numbers.stamp_ns = 0, 0  # the prologue is not in the session
         seq, stamp_ns = 0, 0
-        for entry in self._cleaned(self._inputs()):
+        for entry in self._cleaned_inputs():
             seq, stamp_ns = self._add(writer, session, entry, seq, stamp_ns)
         self.report.unused = unused_rows(self._context.profile, self._context.asked)
         self._add(writer, session, self._note(stamp_ns), seq, stamp_ns)
@@ -187,8 +199,32 @@ class _Run:
 
     def _inputs(self) -> Iterator[Entry]:
         # the new session states no corrections: its messages have them
-        stamps = RecordedStamps(self._file)
-        return (stamps.entry(entry) for entry in self._file.entries() if entry.kind.is_input)
+        stamps, heads = RecordedStamps(self._file), Heads()
+        entries = chain.from_iterable(rows.entries(heads) for rows in self._input_rows(heads))
+        return map(stamps.entry, entries) if stamps else entries
+
+    def _cleaned_inputs(self) -> Iterator[Entry]:
+        """Yield the new inputs; those that repeat others of their stream are changed many at once."""
+        if RecordedStamps(self._file):
+            yield from self._cleaned(self._inputs())
+            return
+        heads = Heads()
+        for rows in self._input_rows(heads):
+            changed = self._repeated.rows(rows, heads)
+            for row, new in enumerate(changed):
+                if new is not None:
+                    yield new
+                else:
+                    yield from self._cleaned((rows.entry(row, heads),))
+            changed.count(self._context)
+
+    def _input_rows(self, heads: Heads) -> Iterator[Rows]:
+        """The inputs as rows: outputs, such as large pictures, become no objects."""
+        are_inputs = np.zeros(0, np.bool_)
+        for rows in rows_of(self._file, heads):
+            if len(are_inputs) < len(heads.known):
+                are_inputs = np.array([head.kind.is_input for head in heads.known])
+            yield rows.where(are_inputs[rows.heads])
 
     def _prologue(self) -> Iterator[Entry]:
         return (entry for entry in self._file.prologue() if entry.kind.is_input)
@@ -246,11 +282,23 @@ class _Run:
         devices: set[str] = set()
         topics: set[str] = set()
         addresses: set[str] = set()
-        for entry in chain(self._prologue(), self._inputs()):
+        for entry in chain(self._prologue(), self._inputs_with_names()):
             if entry.kind in _INPUTS:
                 self._context.asked.streams.add(entry.channel)
             self._look_at(entry, devices, topics, addresses)
         return SeenNames(devices, topics, addresses)
+
+    def _inputs_with_names(self) -> Iterator[Entry]:
+        """Yield the inputs that may have a name which those before do not have."""
+        heads = Heads()
+        for rows in self._input_rows(heads):
+            if any(_NAME in buffer for buffer in rows.buffers):
+                yield from rows.entries(heads)
+                continue
+            found, first, places = np.unique(rows.heads, return_index=True, return_inverse=True)
+            chosen = np.array([_may_have_others(heads.known[head]) for head in found.tolist()], np.bool_)[places]
+            chosen[first] = True
+            yield from rows.where(chosen).entries(heads)
 
     def _look_at(self, entry: Entry, devices: set[str], topics: set[str], addresses: set[str]) -> None:
         if entry.kind is Kind.ROS_IN:
@@ -262,7 +310,7 @@ class _Run:
         elif entry.kind is Kind.IGTL_IN:
             name = entry.channel.partition("/")[2]
             data = entry.data()
-            if NAME_ITEM.encode() in data or entry.type == "BIND":
+            if _NAME in data or entry.type == "BIND":
                 try:
                     message = self._acceptance.message(data)
                 except WireError:
