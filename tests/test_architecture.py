@@ -308,6 +308,7 @@ UNMIRRORED = (
     "test_notebooks.py",  # docs/notebooks
     "test_site.py",  # tools/site.py
     "test_tables.py",  # tests/tables.py
+    "test_publish.py",  # tools/publish.py
     "test_release.py",  # tools/release.py, hatch_build.py
     "test_terms.py",  # tools/terms.py
     "test_try_release.py",  # tools/try_release.py, docs/start/install.md

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -185,3 +186,38 @@ def test_a_release_overwrites_nothing(tmp_path: Path) -> None:
     (tmp_path / "old").touch()
     with pytest.raises(ReleaseError, match="found files, expected an empty folder"):
         release(tmp_path, "HEAD", ())
+
+
+def test_only_compiled_wheels_of_this_version_are_added(tmp_path: Path) -> None:
+    ours = tmp_path / f"igtl_gateway-{__version__}-cp313-cp313-manylinux_2_34_aarch64.whl"
+    expected = f"expected compiled wheels of igtl-gateway {__version__}"
+    with pytest.raises(ReleaseError, match=f"found nothing, {expected}"):
+        module.wheels_of_others(tmp_path)
+    ours.touch()
+    assert module.wheels_of_others(tmp_path) == [ours]
+    for name in ("igtl_gateway-0.0.9-cp313-cp313-manylinux_2_34_aarch64.whl", "SHA256SUMS"):
+        (tmp_path / name).touch()
+        with pytest.raises(ReleaseError, match=f"found {name}, {expected}"):
+            module.wheels_of_others(tmp_path)
+        (tmp_path / name).unlink()
+
+
+def test_wheels_of_another_machine_are_part_of_the_release(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    other = tmp_path / "wheels" / f"igtl_gateway-{__version__}-cp313-cp313-manylinux_2_34_aarch64.whl"
+    other.parent.mkdir()
+    other.write_bytes(b"other")
+
+    def distributions(build: module.Build) -> list[Path]:
+        (build.work / "own.whl").write_bytes(b"own")
+        return [build.work / "own.whl"]
+
+    monkeypatch.setattr(module, "_git", lambda *_: "0")
+    monkeypatch.setattr(module.Build, "distributions", distributions)
+    monkeypatch.setattr(
+        "tools.sbom.write_sbom", lambda out, files, epoch: Path(shutil.copyfile(files[0], out / "sbom"))
+    )
+    release(tmp_path / "dist", "HEAD", (), [other.parent])
+    sums = dict(reversed(line.split("  ")) for line in (tmp_path / "dist" / SUMS).read_text("utf-8").splitlines())
+    assert sums == {name: sha256(tmp_path / "dist" / name) for name in ("own.whl", other.name, "sbom")}
+    release(tmp_path / "compiled", "HEAD", (), compiled_only=True)
+    assert [path.name for path in (tmp_path / "compiled").iterdir()] == ["own.whl"]

@@ -19,6 +19,8 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 WORKFLOWS = sorted(path.name for path in (GITHUB / "workflows").iterdir())
 PYTHONS = ["3.10", "3.11", "3.12", "3.13", "3.14"]
 SYSTEMS = ["ubuntu-22.04", "ubuntu-24.04"]
+#: The same on aarch64, for which there are no ROS wheels.
+ARM = [f"{system}-arm" for system in SYSTEMS]
 #: Where a session over Zenoh is tried.
 OTHER_SYSTEMS = ["macos-latest", "windows-latest"]
 #: Programs of GitHub's machines that the workflows use.
@@ -76,7 +78,7 @@ def test_jobs_end_have_few_rights_and_name_other_jobs(name: str) -> None:
         needs = description.get("needs", [])
         assert {needs} if isinstance(needs, str) else set(needs) <= content["jobs"].keys()
         matrix = description.get("strategy", {}).get("matrix", {})
-        assert description["runs-on"] in SYSTEMS or description["runs-on"] == "${{ matrix.os }}", job
+        assert description["runs-on"] in SYSTEMS + ARM or description["runs-on"] == "${{ matrix.os }}", job
         assert set(re.findall(r"\$\{\{ matrix\.(\w+) \}\}", str(description))) == matrix.keys(), job
     with_rights = {job for job, description in content["jobs"].items() if "permissions" in description}
     assert with_rights == ({"publish"} if name == "release.yml" else set())
@@ -107,13 +109,19 @@ def test_ci_runs_the_gate_and_the_core_on_all_that_we_promise() -> None:
 
 def test_a_release_is_built_on_the_oldest_system_tried_on_all_and_published_by_tags_only() -> None:
     jobs = workflow("release.yml")["jobs"]
-    assert jobs["build"]["runs-on"] == SYSTEMS[0]
-    assert jobs["build"]["env"]["PYTHONS"].split() == [f"python{version}" for version in PYTHONS]
-    (versions,) = (
-        step["with"]["python-version"] for step in jobs["build"]["steps"] if "python-version" in step.get("with", {})
+    for job, system in (("arm", ARM[0]), ("build", SYSTEMS[0])):
+        assert jobs[job]["runs-on"] == system
+        assert jobs[job]["env"]["PYTHONS"].split() == [f"python{version}" for version in PYTHONS]
+        (versions,) = (
+            step["with"]["python-version"] for step in jobs[job]["steps"] if "python-version" in step.get("with", {})
+        )
+        assert versions.split() == PYTHONS
+    given, taken = (
+        next(step["with"] for step in jobs[job]["steps"] if step.get("with", {}).get("name") == "wheels")
+        for job in ("arm", "build")
     )
-    assert versions.split() == PYTHONS
-    assert jobs["try"]["strategy"]["matrix"] == {"os": SYSTEMS, "python": PYTHONS}
+    assert given["path"] == taken["path"] == jobs["build"]["env"]["WHEELS"] and jobs["build"]["needs"] == "arm"
+    assert jobs["try"]["strategy"]["matrix"] == {"os": SYSTEMS + ARM, "python": PYTHONS}
     assert jobs["try"]["needs"] == "build"
     assert jobs["publish"]["needs"] == "try"
     assert jobs["publish"]["if"] == "startsWith(github.ref, 'refs/tags/v')"

@@ -1,6 +1,9 @@
 """The files of a release: sdists, wheels, SBOM and their SHA-256, in one folder.
 
-    python tools/release.py [--out dist] [--python python3.12 …] [--pure] [--uncommitted]
+    python -m tools.release [--out dist] [--python python3.12 …] [--pure | --compiled] [--add FOLDER] [--uncommitted]
+
+``--compiled`` is for a machine of another architecture: it builds only the wheels with C parts, which the machine that
+makes the release adds (``--add``).
 
 Strategy: everything is built twice from the commit, each time from the sdist: in two folders, with two umasks and in
 two time zones.  The release exists only if both builds have the same bytes.  Times in the files are the time of the
@@ -13,6 +16,7 @@ import argparse
 import hashlib
 import os
 import platform
+import re
 import shutil
 import subprocess
 import sys
@@ -25,13 +29,14 @@ from pathlib import Path
 
 from hatch_build import SOURCES
 from igtl_gateway.base.version import __version__
-from tools.sbom import write_sbom
 
 ROOT = Path(__file__).parents[1]
 CONSTRAINTS = ROOT / "constraints.txt"
 #: The oldest C library that the compiled wheels need: that of Ubuntu 22.04, Debian 12 and RHEL 9.  auditwheel refuses
 #: a wheel that needs a newer one.
 PLATFORM = f"manylinux_2_34_{platform.machine()}"
+#: Architectures with ROS wheels: only there ROS packages are compiled ahead.
+ROS_MACHINES = ("x86_64",)
 #: What the ROS packages that are compiled ahead take from the ROS wheels.
 LIBRARIES_OF_ROS = ("libfastcdr.so*", "librcutils.so", "librosidl_*.so", "lib*__rosidl_*.so")
 SUMS = "SHA256SUMS"
@@ -62,6 +67,7 @@ class Build:
         commit: that is built.
         epoch: time of the files, in seconds since 1970 UTC.
         pythons: interpreters of the compiled wheels, one wheel for each.
+        compiled_only: build nothing else.
         work: an empty folder.
         conditions: of this build.
     """
@@ -69,6 +75,7 @@ class Build:
     commit: str
     epoch: str
     pythons: tuple[str, ...]
+    compiled_only: bool
     work: Path
     conditions: Conditions
 
@@ -78,9 +85,10 @@ class Build:
         archive = self.work / "source.tar"
         self._run(["git", "archive", "-o", archive, self.commit], ROOT)
         self._run(["tar", "-xf", archive], source)
-        sdist = self._sdist(source, out)
-        self._wheel(sys.executable, sdist, out, {"IGTL_GATEWAY_PURE": "1"})
-        self._wheel(sys.executable, self._sdist(source / "lab", out), out)
+        sdist = self._sdist(source, self._folder("sdist") if self.compiled_only else out)
+        if not self.compiled_only:
+            self._wheel(sys.executable, sdist, out, {"IGTL_GATEWAY_PURE": "1"})
+            self._wheel(sys.executable, self._sdist(source / "lab", out), out)
         for python in self.pythons:
             self._wheel_with_c_parts(python, sdist, out)
         return sorted(out.iterdir())
@@ -101,11 +109,13 @@ class Build:
         result.mkdir()
         self._run([python, "-m", "venv", environment], folder)
         own = str(environment / "bin" / "python")
-        options = ["--quiet", "--disable-pip-version-check"]
-        ours = f"igtl-gateway[ros] @ {sdist.as_uri()}"
-        self._run([own, "-m", "pip", "install", *options, "hatchling", ours], folder, {"IGTL_GATEWAY_PURE": "1"})
-        self._run([own, "-m", "igtl_gateway.edges.ros_interfaces", "--ahead", ahead], folder)
-        self._wheel(own, sdist, result, {"IGTL_GATEWAY_AHEAD": str(ahead)})
+        has_ros = platform.machine() in ROS_MACHINES
+        ours = [f"igtl-gateway[ros] @ {sdist.as_uri()}"] if has_ros else []
+        options = ["--quiet", "--disable-pip-version-check", "hatchling", *ours]
+        self._run([own, "-m", "pip", "install", *options], folder, {"IGTL_GATEWAY_PURE": "1"})
+        if has_ros:
+            self._run([own, "-m", "igtl_gateway.edges.ros_interfaces", "--ahead", ahead], folder)
+        self._wheel(own, sdist, result, {"IGTL_GATEWAY_AHEAD": str(ahead)} if has_ros else {})
         (wheel,) = result.iterdir()
         with zipfile.ZipFile(wheel) as file:
             parts = {name.partition(".")[0] for name in file.namelist() if name.endswith(".so")}
@@ -155,8 +165,17 @@ class Build:
             raise ReleaseError(f"{' '.join(map(str, command))}\n{done.stdout}{done.stderr}".rstrip())
 
 
-def release(out: Path, commit: str, pythons: tuple[str, ...]) -> list[Path]:
+def release(
+    out: Path, commit: str, pythons: tuple[str, ...], added: Sequence[Path] = (), *, compiled_only: bool = False
+) -> list[Path]:
     """Write the files of the release into the folder ``out``, and return their paths.
+
+    Args:
+        out: an empty folder, or none yet.
+        commit: that is built.
+        pythons: interpreters of the compiled wheels.
+        added: folders with compiled wheels of other machines.
+        compiled_only: build only compiled wheels, for ``added`` of another machine: without SBOM and hashes.
 
     Raises:
         ReleaseError: ``out`` has files already, the commit has the tag of another version, a build failed, or the two
@@ -168,12 +187,14 @@ def release(out: Path, commit: str, pythons: tuple[str, ...]) -> list[Path]:
     if tags and f"v{__version__}" not in tags:
         raise ReleaseError(f"found the tag {tags[0]}, expected v{__version__}: the version of the package")
     epoch = _git("show", "--no-patch", "--format=%ct", commit)
+    others = [path for folder in added for path in wheels_of_others(folder)]
     with tempfile.TemporaryDirectory() as folder:
         works = [Path(folder) / conditions.folder for conditions in CONDITIONS]
         for work in works:
             work.mkdir()
         builds = [
-            Build(commit, epoch, pythons, work, conditions) for work, conditions in zip(works, CONDITIONS, strict=True)
+            Build(commit, epoch, pythons, compiled_only, work, conditions)
+            for work, conditions in zip(works, CONDITIONS, strict=True)
         ]
         with ThreadPoolExecutor(len(builds)) as pool:
             first, second = pool.map(Build.distributions, builds)
@@ -182,10 +203,25 @@ def release(out: Path, commit: str, pythons: tuple[str, ...]) -> list[Path]:
             different = sorted(name for name in {**sums[0], **sums[1]} if sums[0].get(name) != sums[1].get(name))
             raise ReleaseError(f"two builds differ in {', '.join(different)}")
         out.mkdir(parents=True, exist_ok=True)
-        written = [Path(shutil.copyfile(path, out / path.name)) for path in first]
+        written = [Path(shutil.copyfile(path, out / path.name)) for path in [*first, *others]]
+    if compiled_only:
+        return written
+    from tools.sbom import write_sbom  # here: a machine that only compiles has not all that it needs
+
     written.append(write_sbom(out, written, int(epoch)))
     (out / SUMS).write_text("".join(f"{sha256(path)}  {path.name}\n" for path in sorted(written)), "utf-8")
     return [*written, out / SUMS]
+
+
+def wheels_of_others(folder: Path) -> list[Path]:
+    """Return the compiled wheels in a folder.  Raises ReleaseError if it has anything else, or of another version."""
+    paths = sorted(folder.iterdir()) if folder.is_dir() else []
+    expected = re.compile(rf"igtl_gateway-{re.escape(__version__)}-(cp3\d+)-\1-manylinux_\w+\.whl")
+    wrong = [path.name for path in paths if not expected.fullmatch(path.name)]
+    if wrong or not paths:
+        found = ", ".join(wrong) or "nothing"
+        raise ReleaseError(f"{folder}: found {found}, expected compiled wheels of igtl-gateway {__version__}")
+    return paths
 
 
 def sha256(path: Path) -> str:
@@ -202,7 +238,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Build the files of a release twice, and compare them.")
     parser.add_argument("--out", type=Path, default=ROOT / "dist", help="an empty folder (default: dist)")
     parser.add_argument("--python", action="append", default=[], help="a Python of the compiled wheels (repeatable)")
-    parser.add_argument("--pure", action="store_true", help="build no compiled wheel")
+    kinds = parser.add_mutually_exclusive_group()
+    kinds.add_argument("--pure", action="store_true", help="build no compiled wheel")
+    kinds.add_argument("--compiled", action="store_true", help="build only compiled wheels, for --add elsewhere")
+    parser.add_argument(
+        "--add", type=Path, action="append", default=[], metavar="FOLDER", help="compiled wheels of another machine"
+    )
     parser.add_argument("--uncommitted", action="store_true", help="include changes that are not committed, for a test")
     options = parser.parse_args()
     changes = _git("stash", "create")  # a commit of the changes; it changes nothing
@@ -211,7 +252,7 @@ def main() -> int:
         return 1
     pythons = () if options.pure else tuple(options.python) or (sys.executable,)
     try:
-        written = release(options.out, changes or "HEAD", pythons)
+        written = release(options.out, changes or "HEAD", pythons, options.add, compiled_only=options.compiled)
     except ReleaseError as error:
         print(error, file=sys.stderr)
         return 1
