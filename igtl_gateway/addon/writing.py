@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile.definition import Definition as Definition
     from igtl_gateway.record.sessionfile.definition import FileDefinitions as FileDefinitions
     from igtl_gateway.record.sessionfile.definition import another_definition as another_definition
+    from igtl_gateway.record.sessionfile.large_outputs import LargeOutputs as LargeOutputs
+    from igtl_gateway.record.sessionfile.large_outputs import Outputs as Outputs
     from igtl_gateway.record.sessionfile.merged import Definitions as Definitions
     from igtl_gateway.record.sessionfile.merged import Method as Method
     from igtl_gateway.record.sessionfile.new_file import create_file as create_file
@@ -49,6 +51,7 @@ HOMES: Homes = (
     ("base.systems.files", "lock_handle=lock"),
     # Sessions
     ("record.sessionfile.writer", "SessionWriter"),
+    ("record.sessionfile.large_outputs", "LargeOutputs Outputs"),
     ("record.sessionfile.definition", "Definition FileDefinitions another_definition"),
     ("record.sessionfile.schemas", "RosTypes"),
     # A session of several recorders

@@ -16,6 +16,7 @@ from igtl_gateway.base.version import __version__
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.gateway.log.marks import Mark
 from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.large_outputs import LargeOutputs
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.whole_files import written
 from igtl_gateway.record.sessionfile.writer import SessionWriter
@@ -108,9 +109,11 @@ def _write(file: SessionFile, part: Slice, window: SliceWindow, options: argpars
     own = (layout.PART_KEY, layout.PREVIOUS_KEY, layout.SNAPSHOT_KEY, layout.TRIGGER_KEY)
     facts = {**{key: value for key, value in file.session.items() if key not in own}, **facts}
     with written(options.output, overwrite=options.overwrite) as place:
+        has_digests = file.has_digests and part.follows
         writer = SessionWriter(
-            place, facts, qos_of=qos_of, definition_of=file.definition_of, compression="zstd", prologue=part.before()
-        )
+            place, facts, qos_of=qos_of, definition_of=file.definition_of, compression="zstd", prologue=part.before(),
+            outputs=LargeOutputs("digest") if has_digests else None,
+        )  # fmt: skip
         for each in file.beside():
             writer.add_beside(each)
         part.write(writer)

@@ -111,6 +111,11 @@ class Slice:
         #: The report, complete at the end of :meth:`entries` and of :meth:`write`.
         self.report = SliceReport(self._depth)
 
+    @property
+    def follows(self) -> bool:
+        """Whether all outputs of the slice are those that are computed from it."""
+        return not self._found.differing or bool(self._window.globs)
+
     def entries(self) -> Iterator[Entry]:
         """Yield the entries of the slice."""
         self.report = SliceReport(self._depth)
@@ -124,7 +129,7 @@ class Slice:
 
     def write(self, writer: SessionWriter) -> None:
         """Write the entries of the slice.  Raises as the writer, and as the functions that read the session."""
-        if self._columns is None:
+        if self._columns is None or writer.has_digests:
             for entry in self.entries():
                 writer.write(entry)
             return

@@ -168,7 +168,7 @@ def test_exports_have_what_was_accepted(
         out.parent.mkdir()
         code = main(["export", str(path), "--to", target, "-o", str(out), *globs])
         told.append((code, capsys.readouterr().out.replace(str(out), "OUT").replace(str(path), "FILE")))
-        files = digests(out) if target != "rosbag2" else {}
+        files = digests(out) if target not in ("rosbag2", "mcap") else {}
         made.append({name: digest for name, digest in files.items() if "Custom_raw" not in name})  # the bytes
     assert told[0] == told[1]
     assert made[0] == made[1]

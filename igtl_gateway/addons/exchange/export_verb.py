@@ -22,6 +22,8 @@ from igtl_gateway.addons.exchange.targets import TARGETS
 EXAMPLES = """\
   # the ROS topics, for `ros2 bag play bag/`
   igtl-gateway export out.mcap --to rosbag2 -o bag/
+  # all topics of a recording with digests, for Foxglove, `ros2 bag` and rerun
+  igtl-gateway export out.mcap --to mcap -o full.mcap
   # an IMAGE and its TRANSFORMs, for PLUS and 3D Slicer
   igtl-gateway export out.mcap --to igs.mha -o freehand.igs.mha
   # a scene that plays in 3D Slicer
@@ -68,6 +70,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="HZ",
         help="mrb, mrml, seq.nrrd: most messages of a stream in a second, the first of each period "
         + default("all, up to 20,000 a stream, and 2,000 surfaces, points or strings"),
+    )
+    parser.add_argument(
+        "--outputs",
+        choices=("full", "digest", "none"),
+        help="mcap: all bytes of large outputs, their digests, or none of them " + default("full"),
     )
     if LEROBOT_ROW:
         part_of(LEROBOT, "options:add_lerobot")(parser)

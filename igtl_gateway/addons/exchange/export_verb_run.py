@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.addon import NS_PER_S, ConfigError, GatewayError
 from igtl_gateway.addon.processes import part_of
@@ -24,12 +24,15 @@ from igtl_gateway.addons.exchange.selection import bare_glob, sides_without_matc
 from igtl_gateway.addons.exchange.source import MESSAGES
 from igtl_gateway.addons.exchange.targets import TARGETS, export_to
 
+if TYPE_CHECKING:
+    from igtl_gateway.addon.writing import Outputs
+
 #: Above it, nanoseconds have no room.
 MOST_GAP_S = 1e9
 
 
 def run(options: argparse.Namespace) -> int:
-    gap_ns, rate = _gap_ns(options), _rate(options)
+    gap_ns, rate, outputs = _gap_ns(options), _rate(options), _outputs(options)
     if options.to == LEROBOT:
         return int(part_of(LEROBOT, "verb:run_lerobot")(options))
     if LEROBOT_ROW:
@@ -47,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
             for glob in sides_without_match(file, options.streams)
         ]
         try:
-            account = export_to(options.to, with_state(file), options.output, options.streams, gap_ns, rate)
+            account = export_to(options.to, with_state(file), options.output, options.streams, gap_ns, rate, outputs)
         except OSError as error:
             raise GatewayError(f"cannot write to {options.output}: {error.strerror or error}") from None
         reported = file.merge.reported if file.merge else ()
@@ -94,6 +97,17 @@ def _rate(options: argparse.Namespace) -> float:
     if not 1e-3 <= options.rate <= 1000:
         raise ConfigError(f"--rate: found {options.rate:g}, expected 0.001 to 1,000 Hz")
     return float(options.rate)
+
+
+def _outputs(options: argparse.Namespace) -> Outputs:
+    """How large outputs are written.  Raises ConfigError."""
+    if options.outputs is None:
+        return "full"
+    if options.to == LEROBOT or not TARGETS[options.to].shortens:
+        shortening = ", ".join(name for name, target in TARGETS.items() if target.shortens)
+        raise ConfigError(f"--outputs: found --to {options.to}, expected {shortening}: the option has no effect here")
+    outputs: Outputs = options.outputs
+    return outputs
 
 
 def _next_step(options: argparse.Namespace) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from igtl_gateway.addon.streams import GAP_NS
 
 if TYPE_CHECKING:
+    from igtl_gateway.addon.writing import Outputs
     from igtl_gateway.addons.exchange.account import ExportAccount
     from igtl_gateway.addons.exchange.selection import Recording
 
@@ -25,6 +26,7 @@ class ExportFormat:
         suffixes: of the file; none: a directory.
         joins: whether it joins streams: then ``export`` takes ``gap_ns``, the largest gap to interpolate in.
         thins: whether it can leave out messages of fast streams: then ``export`` takes ``rate``, in Hz.
+        shortens: whether digests can stand for large outputs: then ``export`` takes ``outputs``.
     """
 
     text: str
@@ -33,10 +35,17 @@ class ExportFormat:
     suffixes: tuple[str, ...] = ()
     joins: bool = False
     thins: bool = False
+    shortens: bool = False
 
 
 def export_to(
-    name: str, recording: Recording, out: Path, globs: Sequence[str], gap_ns: int = GAP_NS, rate: float = 0.0
+    name: str,
+    recording: Recording,
+    out: Path,
+    globs: Sequence[str],
+    gap_ns: int = GAP_NS,
+    rate: float = 0.0,
+    outputs: Outputs = "full",
 ) -> ExportAccount:
     """Write a recording to ``out`` in a format of the table, and return the account.
 
@@ -47,6 +56,7 @@ def export_to(
         globs: select streams.
         gap_ns: of a format that joins streams: largest time between two poses that something may lie between.
         rate: of a format that thins streams: most messages of one in a second; 0: the default of the format.
+        outputs: of a format that shortens: how large outputs are written.
 
     Raises GatewayError and OSError.
     """
@@ -60,6 +70,7 @@ def export_to(
         globs,
         **({"gap_ns": gap_ns} if target.joins else {}),
         **({"rate": rate} if target.thins else {}),
+        **({"outputs": outputs} if target.shortens else {}),
     )
     count_skipped(recording, globs, account)
     account.notes += [*account.senders.notes(), *RecordedStamps(recording).notes]
@@ -79,6 +90,12 @@ def _export_rosbag2(recording: Recording, out: Path, globs: Sequence[str], **mor
     from igtl_gateway.addons.exchange.rosbag2_out import export_rosbag2
 
     return export_rosbag2(recording, out, globs, **more)
+
+
+def _export_mcap(recording: Recording, out: Path, globs: Sequence[str], **more: Any) -> ExportAccount:
+    from igtl_gateway.addons.exchange.mcap_out import export_mcap
+
+    return export_mcap(recording, out, globs, **more)
 
 
 def _export_mrb(recording: Recording, out: Path, globs: Sequence[str], **more: Any) -> ExportAccount:
@@ -137,6 +154,13 @@ def _export_arrow(recording: Recording, out: Path, globs: Sequence[str], **more:
 
 TARGETS = {
     "rosbag2": ExportFormat("ROS topics, as a directory for `ros2 bag`", "ros2 bag play {out}", _export_rosbag2),
+    "mcap": ExportFormat(
+        "the session with all bytes of its outputs, for Foxglove, `ros2 bag` and rerun",
+        "open {out} in Foxglove or rerun, or `ros2 bag play {out}`",
+        _export_mcap,
+        (".mcap",),
+        shortens=True,
+    ),
     "igs.mha": ExportFormat(
         "an IMAGE and its TRANSFORMs, as one tracked sequence",
         "open {out} in PLUS, or in 3D Slicer with its extension SlicerIGSIO; --to mrb opens without one",

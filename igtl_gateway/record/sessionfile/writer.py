@@ -142,8 +142,7 @@ class SessionWriter:
                 raise cannot_begin(path, error) from error
 
     def _start(self, session: dict[str, str], prologue: bytes) -> None:
-        has_digests = self._outputs is not None and self._outputs.mode == "digest"
-        version = layout.DIGEST_VERSION if has_digests else layout.FORMAT_VERSION
+        version = layout.DIGEST_VERSION if self.has_digests else layout.FORMAT_VERSION
         facts = {**session, layout.FORMAT_VERSION_KEY: str(version)}
         self._mcap.start(layout.MCAP_PROFILE, f"igtl-gateway {__version__}")
         for name in layout.SESSION_RECORDS:
@@ -229,6 +228,11 @@ class SessionWriter:
         for counts in self._figures.values():
             counts.add_bytes(entry.kind, entry.channel, entry.type, len(data), message)
         return False
+
+    @property
+    def has_digests(self) -> bool:
+        """Whether the digest may stand for a large output."""
+        return self._outputs is not None and self._outputs.mode == "digest"
 
     def takes_rows(self, largest: int) -> bool:
         """Whether :meth:`add_rows` takes entries whose payload is below this size."""
