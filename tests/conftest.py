@@ -166,6 +166,7 @@ LONG = (
     "addons/page/test_process.py::test_the_bridge_goes_on_without_its_page",
     "addons/page/test_process.py::test_the_parameter_of_ros_opens_the_page",
     "addons/resim/test_causes.py::test_the_cause_is",
+    *(f"addons/resim/test_verb.py::TestWithRos::test_{name}" for name in ("samples_", "a_window_", "what_a_timer_")),
     "addons/page/test_recordings.py::test_a_file_that_ends_the_process",
     "addons/resim/test_faults.py::test_a_compiler_that_takes_long",
     "addons/resim/test_api.py::TestTheFixture::test_in_a_project",

@@ -93,6 +93,8 @@ ROWS = [
         "cohort sync FILE -o OUT/v --stream TRANSFORM/ProbeToBase --stream IMAGE/Probe --pair a b --workers 1",
         "'a'",
     ),
+    Row("resim FILE --start mark:nope -- true", "mark:nope"),
+    Row("resim FILE --end mark:nope -- true", "mark:nope"),
     Row("resim FILE --input /igtl/out/Robt/string --runs 1 -- true", "/igtl/out/Robt/string", "Robot/string"),
     Row("deidentify FILE -o OUT/w.mcap --profile PROFILE", "mask[0]", "/igtl/out/Probe/image"),
     Row("sync FILE /star/tool /star/camera_pose --frame suture_tol", "suture_tol", "", file=STAR),

@@ -43,6 +43,7 @@ EXCEPTIONS: dict[str, tuple[frozenset[str], str]] = {
     "cli/bench_run.py": (frozenset({"mkdir", "write_text"}), "figures of measurements"),
     "cli/demo.py": (frozenset({"mkdir"}), "recordings in it are made by the bridge, with its mode"),
     "api/recording.py": (frozenset({"symlink_to", "copyfile"}), "in a temporary directory of mode 0700"),
+    "addons/resim/verb_run.py": (frozenset({"mkdtemp"}), "a temporary directory of mode 0700"),
     "cli/stage.py": (frozenset({"write_text"}), "in a temporary directory of mode 0700"),
     "bench/flame.py": (frozenset({"write_text"}), "a picture of a program"),
     "bench/offline.py": (frozenset({"mkdir", "write_text"}), "generated recordings, and copies of them"),

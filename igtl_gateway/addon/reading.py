@@ -61,6 +61,8 @@ if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile.stream_rows import StreamName as StreamName
     from igtl_gateway.record.sessionfile.stream_rows import StreamNumbers as StreamNumbers
     from igtl_gateway.record.sessionfile.stream_rows import StreamRows as StreamRows
+    from igtl_gateway.replay.moment import check_part as check_part
+    from igtl_gateway.replay.moment import since_text as since_text
     from igtl_gateway.replay.recorded_config import config_to_run as config_to_run
     from igtl_gateway.replay.recorded_config import recorded_acceptance as recorded_acceptance
     from igtl_gateway.replay.recorded_config import recorded_units as recorded_units
@@ -109,6 +111,7 @@ HOMES: Homes = (
     ("replay.stamp_places", "StampPlaces"),
     ("gateway.log.marks", "Mark MarkNote ago_ns"),
     ("record.sessionfile.added_marks", "added_marks marks_files"),
+    ("replay.moment", "check_part since_text"),
     ("replay.recorded_marks", "carry_marks marked_moment marks_of"),
     ("record.sessionfile.seals", "stated_seals"),
     # Its entries as they were before, and through a gateway

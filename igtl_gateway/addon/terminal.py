@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from igtl_gateway.cli.options import parser_of as parser_of
     from igtl_gateway.cli.terminal import PROGRESS as PROGRESS
     from igtl_gateway.cli.terminal import PROGRESS_VARIABLE as PROGRESS_VARIABLE
+    from igtl_gateway.cli.terminal import Parser as Parser
     from igtl_gateway.cli.terminal import aligned as aligned
     from igtl_gateway.cli.terminal import cell as cell
     from igtl_gateway.cli.terminal import clear_live_line as clear_live_line
@@ -59,7 +60,8 @@ HOMES: Homes = (
     # Its output and its progress
     (
         "cli.terminal",
-        "PROGRESS PROGRESS_VARIABLE aligned cell clear_live_line is_terminal live_line print_json print_line width",
+        "PROGRESS PROGRESS_VARIABLE Parser aligned cell clear_live_line is_terminal live_line print_json print_line "
+        "width",
     ),
     ("cli.common", "stop_event utc_text"),
     ("base.quantities", "count_text duration_text offset_text rate_text size_text"),

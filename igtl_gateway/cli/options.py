@@ -77,7 +77,7 @@ def shorten_usage(parser: argparse.ArgumentParser) -> None:
     """Leave options that are not required out of the usage line of a parser that has many."""
     actions = parser._actions  # argparse has no other list of them
     optional = [each for each in actions if each.option_strings and each.help != argparse.SUPPRESS]
-    if len(optional) <= _MANY_OPTIONS:
+    if len(optional) <= _MANY_OPTIONS or parser.usage:
         return
     words = [f"{each.option_strings[-1]} {argument_name(each)}" for each in optional if each.required]
     for each in actions:

@@ -207,6 +207,8 @@ class Parser(argparse.ArgumentParser):
     _words: Sequence[str] = ()
     #: Whether argparse is parsing options and other arguments one after the other.
     _is_mixed = False
+    #: Whether what stands behind the first ``--`` are programs: the words of ``programs``, as they are.
+    takes_programs = False
 
     def shorten_help(self, common: Set[str]) -> None:
         """Show only these options with ``--help``, and all with ``--help-all``."""
@@ -237,6 +239,16 @@ class Parser(argparse.ArgumentParser):
         if self._is_mixed:
             return super().parse_known_args(args, namespace)
         self._words = list(sys.argv[1:] if args is None else args)
+        if self.takes_programs:
+            end = self._words.index("--") if "--" in self._words else len(self._words)
+            args, programs = self._words[:end], self._words[end:]
+            self._words = args
+            found, rest = self._parse(args, namespace)
+            found.programs = programs
+            return found, rest
+        return self._parse(args, namespace)
+
+    def _parse(self, args: Any, namespace: Any) -> Any:
         if not any(each.nargs in ("?", "*", "+") for each in self._get_positional_actions()):
             return super().parse_known_args(args, namespace)
         self._is_mixed = True

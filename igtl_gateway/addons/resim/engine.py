@@ -35,6 +35,7 @@ from igtl_gateway.addons.resim.igtl_peer import (
     recorded_links,
 )
 from igtl_gateway.addons.resim.inputs import Inputs, topics_of
+from igtl_gateway.addons.resim.launches import refuse_launch_file
 from igtl_gateway.addons.resim.library import library_path
 from igtl_gateway.addons.resim.link import Gone, Listener
 from igtl_gateway.addons.resim.outputs import OF_EVERY_NODE, OutputFile, OutputStream
@@ -67,6 +68,9 @@ _OTHER_MIDDLEWARE = re.compile(r"librmw_(?!fastrtps|implementation|dds_common)\w
 _APART = "run each as a program of its own (--recipe)"
 _OWN_SOCKET = "has a socket of its own: what it receives there comes in real time"
 _GPU = re.compile(r"lib(cuda|nvcuvid|nvinfer|OpenCL|amdhip64|ze_loader)\.so")
+#: Libraries of linear algebra, as numpy has one, whose threads wait by computing; variables that leave one thread.
+_BLAS = re.compile(r"lib(scipy_)?(openblas|mkl|blis|gomp|iomp)")
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
 #: The only middleware whose serialisation the library knows how to find.
 _MIDDLEWARE = "rmw_fastrtps_cpp"
 
@@ -133,6 +137,7 @@ class ResimOptions:
         swap_ties: in every second run, timers come before recorded inputs of the same time, so that runs differ if the
             outputs depend on which of them is first.
         timers_first: they do so in every run.
+        since_ns: session time at which runs begin, UTC ns; with the recording at the earliest.
         until_ns: session time at which runs end, UTC ns; at the latest they end with the recording.
         wall_s: real seconds without an event, in which no thread computes or waits for a processor, after which it
             counts as hanging.
@@ -149,6 +154,7 @@ class ResimOptions:
     without: tuple[str, ...] = ()
     swap_ties: bool = False
     timers_first: bool = False
+    since_ns: int = 0
     until_ns: int = NEVER
     wall_s: float = 30.0
     cpu_s: float = 60.0
@@ -171,6 +177,7 @@ class Run:
         events: number of events.
         start_ns, end_ns: session time, UTC ns; the end is where it stopped.
         remarks: what weakens the guarantee: sockets of a program, a GPU.
+        hints: what would make it faster.
         seconds: real time that it took; of these `start_s` until all programs waited for the first time.
         fault: why it stopped before its end; ``""`` if it did not.
     """
@@ -187,6 +194,7 @@ class Run:
     start_ns: int = 0
     end_ns: int = 0
     remarks: list[str] = field(default_factory=list)
+    hints: list[str] = field(default_factory=list)
     seconds: float = 0.0
     start_s: float = 0.0
     fault: str = ""
@@ -206,12 +214,16 @@ class RunResult:
         roles: what the topics are, as of the first run; None if it did not come that far.
         runs: in order; the last one has a fault if a program is at fault, and then there are fewer than requested.
         links: of OpenIGTLink, whose peers the programs replaced.
+        window: session time of the runs, UTC ns: from the first one on, up to the second one.
+        zero_ns: start of the recording, from which times are counted; 0: that of the runs.
     """
 
     recording: Path
     roles: Roles | None = None
     runs: list[Run] = field(default_factory=list)
     links: frozenset[int] = frozenset()
+    window: tuple[int, int] = (0, NEVER)
+    zero_ns: int = 0
 
     @property
     def fault(self) -> str:
@@ -251,6 +263,8 @@ def run(
         middleware = {**os.environ, **program.env}.get("RMW_IMPLEMENTATION") or _MIDDLEWARE
         if middleware != _MIDDLEWARE and not program.igtl:
             raise ConfigError(f"{program.title}: found RMW_IMPLEMENTATION={middleware}, expected {_MIDDLEWARE}")
+    for program in programs:
+        refuse_launch_file(program.command, program.title)
     library = library_path()
     if not all(program.igtl for program in programs):
         make_ready()  # else a program would compile during the session
@@ -268,6 +282,10 @@ def run(
     _check_links(programs, replaced)
     _check_inputs(recording, replaced, options)
     result = RunResult(recording, links=frozenset(each.number for each in replaced.values()))
+    if options.since_ns:
+        with SessionFile.open(recording) as file:
+            result.zero_ns = file.start_ns
+    result.window = options.since_ns, min(options.until_ns, NEVER - 1) + 1
     for number in range(1, options.runs + 1):
 
         def take(roles: Roles) -> None:
@@ -349,7 +367,7 @@ def _run_once(
         file = stack.enter_context(SessionFile.open(recording))
         outputs = OutputFile(one.outputs, recording.name, overwrite=True)
         stack.callback(outputs.close)
-        one.start_ns, one.end_ns = file.start_ns, min(file.end_ns, options.until_ns)
+        one.start_ns, one.end_ns = max(file.start_ns, options.since_ns), min(file.end_ns, options.until_ns)
         place = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="igtl-resim-")))
         listener = Listener(place)
         stack.callback(listener.close)
@@ -362,7 +380,7 @@ def _run_once(
             peers = [joining.join(index, program) for index, program in enumerate(programs)]
             coordinator = Coordinator(
                 peers,
-                Inputs(file, {each.number for each in replaced.values()}),
+                Inputs(file, {each.number for each in replaced.values()}, options.since_ns),
                 topics_of(file) | {name: topic for each in replaced.values() for name, topic in each.topics().items()},
                 recorded_services(file),
                 outputs,
@@ -378,6 +396,7 @@ def _run_once(
             )
             coordinator.run()
             watch.look_at_libraries()
+            one.hints = faster(processes)
             watch.await_others()
         except (ProgramFault, Gone) as fault:
             one.fault = _text_of(fault, watch, one)
@@ -497,6 +516,20 @@ def _not_received(roles: Roles, options: ResimOptions) -> str:
         if name not in roles.inputs and not _may_miss(name, options):
             wrong.setdefault(f"not received: {why}", {})[name] = None
     return "; ".join(f"{', '.join(names)}: {why}" for why, names in wrong.items())
+
+
+def faster(processes: Sequence[Process]) -> list[str]:
+    """Return what would make programs faster: each of their threads has to rest before session time passes."""
+    found = []
+    for each in processes:
+        library = next((name for name in sorted(each.libraries()) if _BLAS.match(name)), "")
+        threads = each.computing_threads()
+        if library and threads > 1 and not any(each.env.get(name) == "1" for name in _ONE_THREAD):
+            found.append(
+                f"{each.name}: {threads} threads compute ({library.partition('-')[0].partition('.so')[0]}); "
+                f"{_ONE_THREAD[0]}=1 before the command, or in env of a recipe, may be several times faster"
+            )
+    return found
 
 
 def _second(pid: int) -> str:

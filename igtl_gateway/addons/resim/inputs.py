@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections import deque
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from igtl_gateway.addon import NS_PER_S
 from igtl_gateway.addon.reading import Kind, Qos, SessionFile
@@ -99,10 +99,12 @@ class Inputs:
     Args:
         file: the recording.
         links: links whose OpenIGTLink messages to the peer are inputs, too.
+        since_ns: session time from which on there are any; what was latched before comes then.
     """
 
-    def __init__(self, file: SessionFile, links: Collection[int] = ()) -> None:
-        self._coming = _read(file, links)
+    def __init__(self, file: SessionFile, links: Collection[int] = (), since_ns: int = 0) -> None:
+        coming = _read(file, links)
+        self._coming = _since(coming, since_ns, _latched(file)) if since_ns > file.start_ns else coming
         self._waiting: deque[RecordedInput] = deque()
 
     def peek(self) -> RecordedInput | None:
@@ -121,6 +123,24 @@ class Inputs:
     def give_back(self, message: RecordedInput) -> None:
         """Put a message back, before all others."""
         self._waiting.appendleft(message)
+
+
+def _latched(file: SessionFile) -> set[str]:
+    """The topics whose last message a new subscription gets."""
+    return {name for name, topic in topics_of(file).items() if topic.qos.latched}
+
+
+def _since(coming: Iterator[RecordedInput], since_ns: int, latched: set[str]) -> Iterator[RecordedInput]:
+    """Leave out what is before a time, but for the last message of each latched topic."""
+    kept: dict[str, RecordedInput] = {}
+    for message in coming:
+        if message.time_ns >= since_ns:
+            yield from (replace(each, time_ns=since_ns) for each in sorted(kept.values(), key=lambda each: each.number))
+            yield message
+            break
+        if message.topic in latched:
+            kept[message.topic] = message
+    yield from coming
 
 
 def _read(file: SessionFile, links: Collection[int]) -> Iterator[RecordedInput]:

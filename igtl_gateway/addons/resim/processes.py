@@ -23,6 +23,8 @@ _FRAME = re.compile(r'  File "(?P<file>.+)", line (?P<line>[0-9]{1,9})')
 _OF_OTHERS = ("/site-packages/", "/dist-packages/", f"/python3.{sys.version_info.minor}/", "<frozen ")
 #: Seconds that a program has to end after the session, as after Ctrl-C.
 _END_S = 2.0
+#: Share of the CPU time of a program, and seconds, from which on a thread computes.
+_SHARE, _LEAST_S = 0.1, 0.05
 #: The thread of the library that looks whether all others wait (`preload/_time.h`).
 _WATCHER = "igtl-resim"
 #: A library that each program of ROS 2 loads, and no launcher without it.
@@ -62,7 +64,7 @@ class Process:
     """
 
     def __init__(self, name: str, command: Sequence[str], env: Mapping[str, str], folder: Path | None) -> None:
-        self.name = name
+        self.name, self.env = name, env
         self._ros_pid = 0
         self._image = b""
         program = str(folder / command[0]) if folder and "/" in command[0] else command[0]
@@ -133,6 +135,11 @@ class Process:
         """The thread that runs, or else the one with the most CPU time."""
         uses = _threads(self.pid)
         return max(uses, key=lambda use: (use.state == "R", use.cpu_s), default=ThreadUse("", "", 0.0))
+
+    def computing_threads(self) -> int:
+        """How many threads have used a tenth of its CPU time each, of half a second at least; 0 if it has ended."""
+        uses = [use.cpu_s for use in _threads(self.pid) if use.name != _WATCHER]
+        return sum(each >= max(_SHARE * sum(uses), _LEAST_S) for each in uses) if sum(uses) >= 10 * _LEAST_S else 0
 
     def is_computing(self) -> bool:
         """Whether a thread of the program computes, or would if this machine had a processor for it."""

@@ -54,12 +54,18 @@ def find_race(result: RunResult, programs: Sequence[Program], options: ResimOpti
     sampled = [name for name in names if moments[name].are_seldom_ties]
     if found := _of_ties(result, programs, once, folder, moments, dependent, sampled):
         return Race(found, _input_at(result, found.time_ns))
+    by_stream = {
+        name: first_at_one_time(
+            one, other, [name], lambda each, time_ns: not moments[each].is_of_input(time_ns), _EARLIER_NS
+        )
+        for name in names
+    }
+    samples = [found for found in by_stream.values() if found]
+    streams = frozenset(dependent) | {name for name, found in by_stream.items() if found or moments[name].are_of_timers}
     if found := first_at_one_time(one, other, dependent):
-        return Race(found, _input_at(result, found.time_ns), _EARLIER_NS)
-    found = first_at_one_time(
-        one, other, names, lambda name, time_ns: not moments[name].is_of_input(time_ns), _EARLIER_NS
-    )
-    return Race(found, "", _EARLIER_NS, is_sample=True) if found else None
+        return Race(found, _input_at(result, found.time_ns), _EARLIER_NS, streams=streams)
+    found = min(samples, key=lambda each: each.time_ns, default=None)
+    return Race(found, "", _EARLIER_NS, is_sample=True, streams=streams) if found else None
 
 
 def _of_ties(
@@ -121,6 +127,11 @@ class _Moments:
     def are_seldom_ties(self) -> bool:
         """Whether some messages of timers, but fewer than half, are at the time of an input."""
         return 0 < 2 * len(self._ties) < self._timers
+
+    @property
+    def are_of_timers(self) -> bool:
+        """Whether some messages have other times if the programs start earlier."""
+        return self._timers > 0
 
     def is_of_input(self, time_ns: int) -> bool:
         return _has(self._of_inputs, time_ns)

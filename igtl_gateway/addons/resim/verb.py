@@ -5,11 +5,10 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from igtl_gateway.addon.terminal import (
     RECORDING_OR_BAG,
-    add_file,
+    Parser,
     add_json,
     add_overwrite,
     default,
@@ -29,24 +28,33 @@ EXAMPLES = """\
   igtl-gateway resim session.mcap -- python planner.py -- python controller.py
   # a client of OpenIGTLink gets what the gateway sent to it, in lock-step
   igtl-gateway resim session.mcap --igtl-client -- python client.py
+  # a part of the recording; all recordings of a folder, in a table
+  igtl-gateway resim session.mcap --start 12 --end 20 -- python planner.py
+  igtl-gateway resim sessions/*.mcap -- python planner.py
   # which commit changed the outputs?
   igtl-gateway resim session.mcap --bisect v1.0..HEAD --build "colcon build" \\
       -- python planner.py
 
 Exit code 0: all runs are equal, and equal to the recording or the baseline;
 1: they differ, and the first difference is named; 2: cannot be judged, because
-of a program (it ended, hung, published nothing), a file, or this machine."""
+of a program (it ended, hung, published nothing), a file, or this machine.
+Of several recordings: 0: all are as above with 0; 1: one is not."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_file(parser, RECORDING_OR_BAG)
-    programs = parser.add_argument(
-        "programs", metavar="-- PROGRAM", nargs=argparse.PARSER, help="the program and its arguments; -- between two"
-    )
     parser.add_argument(
-        "--recipe", action=_Recipe, programs=programs, type=Path, metavar="FILE",
+        "files", metavar="FILE", nargs="+", type=Path,
+        help=f"{RECORDING_OR_BAG}; of several, a table. Behind --: the program and its arguments, -- between two",
+    )  # fmt: skip
+    parser.usage = "%(prog)s [OPTION ...] FILE ... -- PROGRAM"
+    if isinstance(parser, Parser):
+        parser.takes_programs = True
+    parser.add_argument(
+        "--recipe", type=Path, metavar="FILE",
         help="the programs, with names, environment and folders (TOML), instead of those behind --",
     )  # fmt: skip
+    parser.add_argument("--start", metavar="TIME", help="start at this time " + default("the beginning"))
+    parser.add_argument("--end", metavar="TIME", help="skip messages from this time on " + default("the end"))
     igtl = parser.add_mutually_exclusive_group()
     igtl.add_argument(
         "--igtl-client", action="store_true",
@@ -130,20 +138,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_overwrite(parser, "the outputs and the report")
     add_json(parser)
-
-
-class _Recipe(argparse.Action):
-    """``--recipe``: with it, there need not be a program behind ``--``.  ``programs`` is that argument."""
-
-    def __init__(self, *, programs: argparse.Action, **settings: Any) -> None:
-        super().__init__(**settings)
-        self._programs = programs
-
-    def __call__(
-        self, parser: Any, namespace: argparse.Namespace, values: Any, option_string: str | None = None
-    ) -> None:
-        self._programs.required = False
-        namespace.recipe = values
 
 
 def runner() -> Callable[[argparse.Namespace], int]:

@@ -6,18 +6,23 @@ import argparse
 import math
 import shutil
 import tempfile
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 
-from igtl_gateway.addon import ConfigError
+from igtl_gateway.addon import ConfigError, GatewayError, Unavailable
 from igtl_gateway.addon.checking import Tolerance
-from igtl_gateway.addon.reading import SessionFile
+from igtl_gateway.addon.reading import SessionFile, check_part, marked_moment, marks_of, since_text
 from igtl_gateway.addon.terminal import (
     aligned,
+    cell,
+    command,
     count_text,
     print_json,
     print_line,
+    width,
 )
 from igtl_gateway.addon.untrusted import is_same
 from igtl_gateway.addon.writing import check_target, open_new, write_bytes, written
@@ -48,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
         SessionFile.open(options.baseline).close()
     for target in filter(None, (options.record, options.junit)):
         check_target(target, overwrite=options.overwrite)
-        for source in filter(None, (options.file, options.baseline)):
+        for source in filter(None, (*options.files, options.baseline)):
             if is_same(target, source):  # the outputs would be compared with themselves
                 raise ConfigError(f"found {target} as a file to read and to write, expected two files")
     clocks = Clocks.SESSION if options.libc_clock else Clocks.REAL if options.real_clock else Clocks.SHIFTED
@@ -68,50 +73,173 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError("--build: has no effect without --bisect")
     if options.bisect:
         return _run_bisect(options, programs, settings, tolerance)
-    with ExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="igtl-resim-")))
-        is_text = not options.json
-        done: list[Run] = []
-
-        def take(one: Run) -> None:
-            done.append(one)
-            if is_text:
-                _print_run(one)
-
-        try:
-            result = run_programs(
-                options.file,
-                programs,
-                settings,
-                folder,
-                on_roles=_print_roles if is_text else lambda roles: None,
-                on_run=take,
-            )
-        except KeyboardInterrupt:
-            if _keep(options, folder):
-                which = "of run 1" if done else "until then"
-                print_line(f"{options.record}: the outputs {which}, complete")
-            raise
-        if any(stream.messages for one in result.runs[:1] for stream in one.streams.values()):
-            _keep(options, folder)
-        verdict = judge(
-            result,
-            programs,
-            settings,
-            reference=options.baseline or options.file,
-            tolerance=tolerance,
-            permits_races=options.permit_races,
-            wants_any_start=options.any_start,
-            on_search=_print_search if is_text else lambda: None,
-        )
-        if options.junit:
-            with written(options.junit, overwrite=options.overwrite) as place:
-                write_bytes(place, junit_xml(result, verdict, settings.outputs))
+    if len(options.files) > 1:
+        return _run_several(options, programs, settings, tolerance)
+    [recording] = options.files
+    with _outputs() as folder:
+        result, verdict, kept = _run_one(options, recording, programs, settings, tolerance, folder)
     if options.json:
-        print_json(facts_of(result, verdict))
+        print_json(facts_of(result, verdict) | {"outputs": [str(each) for each in kept]})
     else:
         _print_verdict(result, verdict)
+        _print_steps(options, recording, verdict, kept)
     return verdict.exit_code
+
+
+@contextmanager
+def _outputs() -> Iterator[Path]:
+    """A folder for the outputs of runs; deleted at the end."""
+    with tempfile.TemporaryDirectory(prefix="igtl-resim-") as folder:
+        yield Path(folder)
+
+
+def _run_one(
+    options: argparse.Namespace,
+    recording: Path,
+    programs: list[Program],
+    settings: ResimOptions,
+    tolerance: Tolerance,
+    folder: Path,
+    *,
+    is_text: bool | None = None,
+) -> tuple[RunResult, Verdict, list[Path]]:
+    """Run the programs on a recording, and judge them; return the kept outputs of the first run, and of another one."""
+    is_text = not options.json if is_text is None else is_text
+    settings = _windowed(options, recording, settings)
+    done: list[Run] = []
+
+    def take(one: Run) -> None:
+        done.append(one)
+        if is_text:
+            _print_run(one)
+
+    try:
+        result = run_programs(
+            recording, programs, settings, folder, on_roles=_print_roles if is_text else lambda roles: None, on_run=take
+        )
+    except KeyboardInterrupt:
+        if _keep(options, folder):
+            which = "of run 1" if done else "until then"
+            print_line(f"{options.record}: the outputs {which}, complete")
+        raise
+    has_outputs = any(stream.messages for one in result.runs[:1] for stream in one.streams.values())
+    if has_outputs:
+        _keep(options, folder)
+    verdict = judge(
+        result,
+        programs,
+        settings,
+        reference=options.baseline or recording,
+        tolerance=tolerance,
+        permits_races=options.permit_races,
+        wants_any_start=options.any_start,
+        on_search=_print_search if is_text else lambda: None,
+    )
+    if options.junit:
+        with written(options.junit, overwrite=options.overwrite) as place:
+            write_bytes(place, junit_xml(result, verdict, settings.outputs))
+    differs = has_outputs and not verdict.fault and verdict.exit_code
+    return result, verdict, _kept(options, folder, verdict) if differs else []
+
+
+def _windowed(options: argparse.Namespace, recording: Path, settings: ResimOptions) -> ResimOptions:
+    """The settings with the part of a recording from --start to --end.  Raises ConfigError."""
+    if options.start is None and options.end is None:
+        return settings
+    with SessionFile.open(recording) as file:
+        marks = partial(marks_of, file)
+        since_ns, until_ns = (
+            None if text is None else marked_moment(text, file.start_ns, name, marks)
+            for name, text in (("--start", options.start), ("--end", options.end))
+        )
+        check_part(since_ns, until_ns, file.start_ns, file.end_ns, is_empty_part=True)
+    last_ns = settings.until_ns if until_ns is None else until_ns - 1
+    return replace(settings, since_ns=since_ns or 0, until_ns=last_ns)
+
+
+def _kept(options: argparse.Namespace, folder: Path, verdict: Verdict) -> list[Path]:
+    """The outputs that differ, which stay: of the first run, and of that which differs from it."""
+    numbers = [1, verdict.unequal_run] if verdict.unequal_run else [1]
+    if numbers == [1] and options.record:
+        return [options.record]
+    place = Path(tempfile.mkdtemp(prefix="igtl-resim-outputs-"))
+    return [Path(shutil.move(run_file(folder, number), place)) for number in numbers]
+
+
+def _print_steps(options: argparse.Namespace, recording: Path, verdict: Verdict, kept: list[Path]) -> None:
+    """What follows a difference: both sides in the viewer; of samples of a timer, a baseline."""
+    steps = []
+    if verdict.is_sampled and not options.record:
+        words = [word for word in _words_of(options) if word]
+        good = recording.with_name(f"{recording.stem}-baseline.mcap").name
+        steps += [(command("resim", recording, "--record", good, *words), "keep a baseline, once")]
+        steps += [(command("resim", recording, "--baseline", good, *words), "compare later versions with it")]
+    if kept:
+        other = [] if verdict.unequal_run else [options.baseline or recording]
+        steps.append((command("view", *other, *kept), "both in the viewer"))
+    if steps:
+        print_line("next", *(line for step, what in steps for line in (f"  {what}:", f"    {step}")))
+
+
+def _words_of(options: argparse.Namespace) -> list[str]:
+    """The words of the command behind the recording that decide what is run."""
+    words: list[str] = []
+    for name in ("start", "end"):
+        words += [f"--{name}", getattr(options, name)] if getattr(options, name) is not None else []
+    for name in ("input", "output", "without"):
+        words += [word for each in getattr(options, name) for word in (f"--{name}", each)]
+    words += ["--igtl-client"] * options.igtl_client
+    words += ["--igtl-server", str(options.igtl_server)] if options.igtl_server is not None else []
+    for name in ("latency", "lead", "link"):
+        words += [f"--{name}", f"{getattr(options, name):g}"] if getattr(options, name) else []
+    words += ["--libc-clock"] * options.libc_clock + ["--real-clock"] * options.real_clock
+    return words + (["--recipe", str(options.recipe)] if options.recipe else options.programs)
+
+
+#: Columns of the table of several recordings.
+_HEADS = ("verdict", "inputs", "outputs")
+
+
+def _run_several(
+    options: argparse.Namespace, programs: list[Program], settings: ResimOptions, tolerance: Tolerance
+) -> int:
+    """A row for each recording; a line below for each that is not equal."""
+    for name in ("record", "junit"):
+        if getattr(options, name):
+            raise ConfigError(f"--{name}: found {len(options.files)} recordings, expected one")
+    facts: list[dict[str, object]] = []
+    lines: list[str] = []
+    columns = max(len("recording"), width(str(path) for path in options.files))
+    if not options.json:
+        print_line(f"{cell('recording', columns)}  {_HEADS[0]:<18}{_HEADS[1]:>8} {_HEADS[2]:>8}")
+    for path in options.files:
+        try:
+            with _outputs() as folder:
+                result, verdict, kept = _run_one(options, path, programs, settings, tolerance, folder, is_text=False)
+        except (ConfigError, Unavailable):
+            raise
+        except GatewayError as error:
+            facts.append({"recording": str(path), "verdict": str(error), "exit_code": 2})
+            word, counts = "cannot be judged", ("", "")
+            lines.append(str(error))
+        else:
+            one = result.runs[0] if result.runs else None
+            word = verdict.word
+            counts = (f"{sum(one.delivered.values()):,}", f"{one.messages:,}") if one else ("", "")
+            facts.append(facts_of(result, verdict) | {"outputs": [str(each) for each in kept]})
+            if verdict.exit_code:
+                lines.append(f"{path}: {verdict.line()}")
+            if kept:
+                other = [] if verdict.unequal_run else [options.baseline or path]
+                lines.append(f"  {command('view', *other, *kept)}")
+        if not options.json:
+            print_line(f"{cell(str(path), columns)}  {word:<18}{counts[0]:>8} {counts[1]:>8}", flush=True)
+    failed = sum(bool(each["exit_code"]) for each in facts)
+    if options.json:
+        print_json({"recordings": facts})
+    else:
+        print_line(*lines, f"{len(facts) - failed:,} of {count_text(len(facts), 'recording')} as expected")
+    return int(bool(failed))
 
 
 def _keep(options: argparse.Namespace, folder: Path) -> bool:
@@ -137,12 +265,15 @@ def _run_bisect(
     def tell(step: Step) -> None:
         print_line(f"{step.mark:4}  {step.commit.short}  {step.commit.subject}: {step.text}")
 
+    if len(options.files) > 1:
+        raise ConfigError(f"--bisect: found {len(options.files)} recordings, expected one")
+    [recording] = options.files
     result = bisect(
         options.bisect,
         options.build,
-        options.file,
+        recording,
         programs,
-        settings,
+        _windowed(options, recording, settings),
         tolerance=tolerance,
         on_step=tell if not options.json else lambda step: None,
     )
@@ -164,6 +295,12 @@ def _programs_of(options: argparse.Namespace) -> list[Program]:
         recipe = read_recipe(options.recipe)
         options.permit_races |= recipe.permits_races
         return recipe.programs
+    if not options.programs:
+        words = " ".join(map(str, options.files[1:]))
+        question = (
+            f"; if {words} is one: {command('resim', options.files[0], '--', *options.files[1:])}" if words else ""
+        )
+        raise ConfigError(f"found no program, expected one behind --{question}")
     programs = _programs(options.programs)
     if not is_igtl:
         return programs
@@ -223,6 +360,8 @@ def _print_run(one: Run) -> None:
         f"run {one.number}: {count_text(sum(one.delivered.values()), 'input')}, "
         f"{count_text(one.messages, 'output')}, {session_s:.1f} s of session in {one.seconds:.1f} s"
     )
+    for line in one.hints if one.number == 1 else ():
+        print_line(f"faster: {line}")
 
 
 def _print_search() -> None:
@@ -236,6 +375,8 @@ def _print_verdict(result: RunResult, verdict: Verdict) -> None:
         print_line(lost.text(verdict.start_ns))
     for line in result.runs[0].remarks if result.runs else ():
         print_line(f"weaker: {line}")
+    if result.window[0] and not verdict.fault and verdict.exit_code:
+        print_line(f"the programs begin at {since_text(result.zero_ns, result.window[0])}, without what came before")
     for stream in verdict.between_runs or verdict.streams:
         if stream.first:
             print_line(f"  {stream.first.text(verdict.start_ns)}")
@@ -256,6 +397,7 @@ def facts_of(result: RunResult, verdict: Verdict) -> dict[str, object]:
         "exit_code": verdict.exit_code,
         "fault": verdict.fault,
         "deterministic": verdict.is_deterministic,
+        "sampled": verdict.is_sampled,
         "first": {"stream": verdict.first.stream, "what": verdict.first.what} if verdict.first else None,
         "streams": [_stream_facts(each) for each in verdict.between_runs or verdict.streams],
         "not_compared": verdict.uncompared,
@@ -271,6 +413,7 @@ def facts_of(result: RunResult, verdict: Verdict) -> dict[str, object]:
                 "lost": [asdict(lost) for lost in one.lost],
                 "events": one.events,
                 "remarks": one.remarks,
+                "hints": one.hints,
                 "seconds": one.seconds,
                 "start_seconds": one.start_s,
             }

@@ -17,6 +17,8 @@ from math import inf, isfinite, isnan
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from igtl_gateway.addon import matches
 from igtl_gateway.addon.checking import (
     EXACT,
@@ -33,6 +35,7 @@ from igtl_gateway.addon.checking import (
 from igtl_gateway.addon.reading import Entry, Kind, Qos, SessionFile, recorded_units
 from igtl_gateway.addons.resim.coordinator import Roles
 from igtl_gateway.addons.resim.engine import Run, RunResult
+from igtl_gateway.addons.resim.frames import NEVER
 from igtl_gateway.addons.resim.goals import numbering
 from igtl_gateway.addons.resim.outputs import OF_EVERY_NODE
 from igtl_gateway.addons.resim.unread import Digest, unread_streams
@@ -144,12 +147,14 @@ class Race:
         topic: of the input; ``""`` if none has that time.
         earlier_ns: how much earlier that run started; 0: it had timers before inputs of the same time.
         is_sample: whether a timer publishes the output, which samples an input; else an input causes it.
+        streams: all outputs that depend on when the programs start.
     """
 
     difference: Difference
     topic: str
     earlier_ns: int = 0
     is_sample: bool = False
+    streams: frozenset[str] = frozenset()
 
     def text(self, start_ns: int) -> str:
         """One line for a person; ``start_ns``: start of the session."""
@@ -182,6 +187,7 @@ class Verdict:
         permits_races: whether a timer may race an input.
         wants_any_start: whether outputs must not depend on when the programs start.
         reference: what the outputs were compared with; None = nothing.
+        is_live: whether that is a recording of the programs, and no outputs of an earlier run.
         streams: the streams in the reference and in the first run.
         uncompared: streams of both that are not compared, as their type is not read and the reference has no digest.
         unpublished: recorded topics of others that no program publishes or asks for: outputs that these had, perhaps.
@@ -197,6 +203,7 @@ class Verdict:
     permits_races: bool = False
     wants_any_start: bool = False
     reference: Path | None = None
+    is_live: bool = False
     streams: list[StreamVerdict] = field(default_factory=list)
     uncompared: list[str] = field(default_factory=list)
     unpublished: list[str] = field(default_factory=list)
@@ -217,6 +224,15 @@ class Verdict:
         return all(stream.is_equal for stream in self.streams)
 
     @property
+    def is_sampled(self) -> bool:
+        """Whether it differs from a live recording only in outputs that depend on when a timer of it began."""
+        if not (self.race and self.race.earlier_ns and self.is_live and self.is_deterministic):
+            return False
+        return not self.is_as_reference and all(
+            each.is_equal or each.stream in self.race.streams for each in self.streams
+        )
+
+    @property
     def exit_code(self) -> int:
         """0: equal; 1: not deterministic, or not as the reference; 2: the programs could not be judged."""
         return 2 if self.fault else 0 if self.is_deterministic and self.is_as_reference else 1
@@ -227,7 +243,23 @@ class Verdict:
         if self.race and self.is_racing:
             return self.race.difference
         found = [each.first for each in self.between_runs or self.streams if each.first]
+        if self.race and self.race.earlier_ns and self.is_live and not self.is_sampled:
+            # what a timer samples differs, too, and explains nothing
+            found = [each for each in found if each.stream not in self.race.streams] or found
         return min(found, key=lambda each: (each.time_ns, each.stream), default=None)
+
+    @property
+    def word(self) -> str:
+        """The verdict in a word or two, for a table."""
+        if self.fault:
+            return "cannot be judged"
+        if not self.is_deterministic:
+            return "not deterministic"
+        if self.is_sampled:
+            return "sampled by a timer"
+        if not self.is_as_reference:
+            return "different"
+        return "equal" if self.streams else "deterministic"
 
     def line(self) -> str:
         """One line for a person."""
@@ -240,6 +272,13 @@ class Verdict:
         if self.race and self.is_racing:
             return f"NOT DETERMINISTIC: {self.race.text(self.start_ns)}; likely cause: {self.race.cause}"
         same = f"deterministic: {self.runs} of {self.runs} runs equal" if self.runs > 1 else "1 run"
+        if self.is_sampled and self.race and self.reference and first:
+            differing = sorted(each.stream for each in self.streams if not each.is_equal)
+            shown = ", ".join(differing[:_NAMED]) + (" …" if len(differing) > _NAMED else "")
+            return (
+                f"SAMPLED BY A TIMER: {shown}: the timer began at another moment in {self.reference.name}, so its "
+                f"messages are others ({same}); compare with a baseline: {first.text(self.start_ns)}"
+            )
         if self.race and not self.race.is_sample:
             same += f", but {self.race.text(self.start_ns)}"
         if self.reference and first:
@@ -273,7 +312,8 @@ def compare(
         outputs: globs of topics that are judged although every node has them.
     """
     good = [one for one in result.runs if not one.fault]
-    verdict = Verdict(len(good), result.runs[0].start_ns if result.runs else 0, result.fault, reference=reference)
+    start_ns = result.zero_ns or (result.runs[0].start_ns if result.runs else 0)
+    verdict = Verdict(len(good), start_ns, result.fault, reference=reference)
     if verdict.fault or not good:
         return verdict
     first = good[0]
@@ -296,6 +336,7 @@ def compare(
     if reference is not None:
         with SessionFile.open(reference) as file:
             is_resim = _RESIM_KEY in file.session
+            verdict.is_live = not is_resim
             recorded = {_name(each.kind, each.topic, each.stream) for each in file.channels if each.count} - {""}
             unread = unread_streams(file)
             offered = _offered(file)
@@ -315,19 +356,20 @@ def compare(
         names = [name for name in sorted({*first.streams, *expected}) if is_judged(name, outputs)]
         names = [name for name in names if (is_resim or name in recorded) and name not in {*unread, *ours}]
         verdict.streams = (
-            _strictly(reference, first.outputs, names, tolerance)
+            _strictly(reference, first.outputs, names, tolerance, result.window)
             if is_resim
-            else _loosely(reference, first.outputs, names, tolerance, result.links)
+            else _loosely(reference, first.outputs, names, tolerance, result.links, result.window)
         )
         for compared in verdict.streams:
             _note_silence(compared, first)
             _note_qos(compared, offered.get(compared.stream), first, is_whole=is_resim)
         for name in sorted(name for name in {*unread, *ours} - {*driven} if is_judged(name, outputs)):
             stream = first.streams[name].summary if name in first.streams else None
-            is_known = name not in recorded and (name not in unread or unread[name].digest)
+            is_part = result.window != (0, NEVER)  # a digest is of the whole
+            is_known = name not in recorded and (name not in unread or unread[name].digest) and not is_part
             if stream and not is_known:
                 verdict.uncompared.append(name)
-            elif is_resim:
+            elif is_resim and not is_part:
                 verdict.streams.append(_of_unread(name, unread.get(name), stream))
         if not verdict.streams and not verdict.uncompared and reference != result.recording:
             verdict.fault = f"{reference.name} has none of the outputs to compare with"
@@ -424,9 +466,9 @@ def _digest(one: Run, name: str) -> str:
 class _Side:
     """The messages of one topic at their session times, of which the next ones can be looked at."""
 
-    def __init__(self, file: SessionFile, topic: str) -> None:
+    def __init__(self, file: SessionFile, topic: str, window: tuple[int, int] = (0, NEVER)) -> None:
         self._decoder = LeafDecoder(file.definitions, recorded_units(file))
-        self._coming = _messages(file, topic)
+        self._coming = _messages(file, topic, window=window)
         self.ahead: deque[Entry] = deque()
         self.taken = 0
 
@@ -462,33 +504,38 @@ def _name(kind: Kind, topic: str, stream: str) -> str:
     return {Kind.ROS_IN: topic, Kind.IGTL_IN: stream}.get(kind, "")
 
 
-def _messages(file: SessionFile, topic: str, links: Set[int] = frozenset()) -> Iterator[Entry]:
+def _messages(
+    file: SessionFile, topic: str, links: Set[int] = frozenset(), window: tuple[int, int] = (0, NEVER)
+) -> Iterator[Entry]:
     """The messages of a topic, with numbers for goal ids; their stamp is the session time at which they were published.
 
-    Of an OpenIGTLink stream of a live recording, only those that came by one of ``links``.
+    Of an OpenIGTLink stream of a live recording, only those that came by one of ``links``; of all, those in a window.
     """
     if links and not topic.startswith("/"):
         for entry in file.entries_of_kinds({Kind.IGTL_IN}):
-            if entry.kind is Kind.IGTL_IN and entry.channel == topic and not links.isdisjoint(entry.links):
+            is_in = window[0] <= entry.stamp_ns < window[1]
+            if entry.kind is Kind.IGTL_IN and entry.channel == topic and is_in and not links.isdisjoint(entry.links):
                 yield Entry(entry.seq, entry.stamp_ns, entry.kind, topic, entry.type, entry.payload)
         return
     numbered = numbering(topic)
     for channel in file.channels:
         if _name(channel.kind, channel.topic, channel.stream) == topic:
             for block in file.blocks(channel):
-                for index in range(len(block)):
+                for index in np.flatnonzero((block.times >= window[0]) & (block.times < window[1])).tolist():
                     time_ns = int(block.source_times[index]) or int(block.times[index])
                     data = (numbered(bytes(block.payload(index))),)
                     seq = int(block.numbers[index])
                     yield Entry(seq, time_ns, channel.kind, topic, channel.entry_type, data, (), time_ns)
 
 
-def _strictly(one: Path, other: Path, names: Sequence[str], tolerance: Tolerance) -> list[StreamVerdict]:
-    """Compare streams of two runs, by session time."""
+def _strictly(
+    one: Path, other: Path, names: Sequence[str], tolerance: Tolerance, window: tuple[int, int] = (0, NEVER)
+) -> list[StreamVerdict]:
+    """Compare streams of two runs, by session time; of the first one, what is in the window of the other."""
     if not names:
         return []
     with SessionFile.open(one) as first, SessionFile.open(other) as second:
-        return [_compare_stream(name, _Side(first, name), _Side(second, name), tolerance) for name in names]
+        return [_compare_stream(name, _Side(first, name, window), _Side(second, name), tolerance) for name in names]
 
 
 def first_at_one_time(
@@ -620,41 +667,50 @@ def _compare_messages(
 
 
 def _loosely(
-    one: Path, other: Path, names: Sequence[str], tolerance: Tolerance, links: Set[int]
+    one: Path,
+    other: Path,
+    names: Sequence[str],
+    tolerance: Tolerance,
+    links: Set[int],
+    window: tuple[int, int],
 ) -> list[StreamVerdict]:
     """Compare a live recording with a run: by the order and the contents of messages; ``links``: which of it count."""
     found = []
     with SessionFile.open(one) as first, SessionFile.open(other) as second:
         for name in names:
             sides = [
-                DiffInput(_messages(file, name, chosen), LeafDecoder(file.definitions, recorded_units(file)))
-                for file, chosen in ((first, links), (second, frozenset()))
+                DiffInput(_messages(file, name, chosen, part), LeafDecoder(file.definitions, recorded_units(file)))
+                for file, chosen, part in ((first, links, window), (second, frozenset(), (0, NEVER)))
             ]
             for stream in diff(sides[0], sides[1], tolerance=tolerance).streams:
-                found.append(_of_diff(first, second, name, stream, links))
+                found.append(_of_diff(first, second, name, stream, links, window))
     return found
 
 
-def _place(file: SessionFile, name: str, seq: int, links: Set[int]) -> tuple[int, int]:
+def _place(
+    file: SessionFile, name: str, seq: int, links: Set[int], window: tuple[int, int] = (0, NEVER)
+) -> tuple[int, int]:
     """Number and time of the message of a stream with an entry number."""
-    for number, entry in enumerate(_messages(file, name, links), 1):
+    for number, entry in enumerate(_messages(file, name, links, window), 1):
         if entry.seq == seq:
             return number, entry.stamp_ns
     return 0, file.end_ns
 
 
-def _of_diff(file: SessionFile, run: SessionFile, name: str, stream: StreamDiff, links: Set[int]) -> StreamVerdict:
+def _of_diff(
+    file: SessionFile, run: SessionFile, name: str, stream: StreamDiff, links: Set[int], window: tuple[int, int]
+) -> StreamVerdict:
     verdict = StreamVerdict(
         name, stream.messages, stream.other_messages, stream.different, stream.missing, stream.extra,
         within=stream.within, mm=stream.mm, deg=stream.deg, restamped=stream.restamped,
     )  # fmt: skip
     if stream.first and stream.different:
         place = stream.first
-        time_ns = next(islice(_messages(file, name, links), place.index - 1, None)).stamp_ns
+        time_ns = next(islice(_messages(file, name, links, window), place.index - 1, None)).stamp_ns
         verdict.first = Difference(name, place.index, time_ns, "differs", 0, place.delta)
     elif stream.missing or stream.extra:
         first, what = (stream.first_missing, "missing") if stream.missing else (stream.first_extra, "extra")
-        place_of = _place(file, name, first, links) if stream.missing else _place(run, name, first, frozenset())
+        place_of = _place(file, name, first, links, window) if stream.missing else _place(run, name, first, frozenset())
         verdict.first = Difference(name, *place_of, what)
     return verdict
 

@@ -13,9 +13,10 @@ import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
 from igtl_gateway.addon import __version__
-from igtl_gateway.addon.reading import Entry, Kind, Qos
+from igtl_gateway.addon.reading import Entry, Kind, Qos, SessionFile
 from igtl_gateway.addon.settings import Config
 from igtl_gateway.addon.writing import SessionWriter
+from igtl_gateway.addons.resim.engine import Program, ResimOptions, run
 
 START_NS = 1_700_000_000_000_000_000
 MS = 1_000_000
@@ -54,6 +55,20 @@ def write_both(path: Path, sent: Iterable[Row], received: Iterable[Row], *, qos:
         writer.write(Entry(number, last_ns, kind, topic, type_, (cdr(type_, content),)))
     writer.close({})
     return path
+
+
+def live(path: Path, count: int, command: list[str], lead_ms: int) -> Path:
+    """Write a session with poses, and with what a program published that began this much earlier."""
+    source = write(path, poses(count))
+    result = run(source, [Program(tuple(command))], ResimOptions(runs=1, lead_ns=lead_ms * MS), path.parent)
+    assert not result.fault, result.fault
+    with SessionFile.open(result.runs[0].outputs) as file:
+        found = [
+            (each.stamp_ns - START_NS, each.channel, each.type, _TYPES.deserialize_cdr(each.data(), each.type))
+            for each in file.entries()
+            if each.channel in ("/sample", "/plan")
+        ]
+    return write_both(path, poses(count), found)
 
 
 def texts(count: int, topic: str = "/in", *, seed: int = 1) -> list[Row]:

@@ -12,14 +12,16 @@ from unittest.mock import patch
 from xml.etree import ElementTree
 
 from igtl_gateway.addon.reading import Qos
-from igtl_gateway.addons.resim import outputs
+from igtl_gateway.addons.resim import outputs, processes
 from igtl_gateway.addons.resim.coordinator import Roles
-from igtl_gateway.addons.resim.engine import Run, RunResult
+from igtl_gateway.addons.resim.engine import Run, RunResult, faster
 from igtl_gateway.addons.resim.outputs import OutputFile, OutputStream
+from igtl_gateway.addons.resim.processes import Process, ThreadUse
 from igtl_gateway.addons.resim.report import junit_xml, report_lines
 from igtl_gateway.addons.resim.verdict import Difference, Race, StreamVerdict, Verdict, compare
 from igtl_gateway.replay.compare import Delta
 from tests.addons.resim import sessions
+from tests.tables import table
 
 #: Element → the attributes that it must have, those that it may have, and its children.
 RULES: dict[str, tuple[set[str], set[str], set[str]]] = {
@@ -210,3 +212,56 @@ def test_a_stamp_is_later_and_a_number_of_that_name_differs() -> None:
         "/a, message 1 at 0.000000 s: its stamp is later by 5 ns",
         "/a, message 1 at 0.000000 s: stamp is 1.5 and 2.5",
     ]
+
+
+@table(
+    ("differing", "of_timers", "is_live", "word", "first"),
+    [
+        (["/a"], ["/a"], True, "sampled by a timer", "/a"),
+        (["/a", "/b"], ["/a", "/b"], True, "sampled by a timer", "/a"),
+        (["/a", "/b"], ["/a"], True, "different", "/b"),
+        (["/a"], ["/a"], False, "different", "/a"),
+        ([], ["/a"], True, "equal", ""),
+    ],
+)
+def test_what_a_timer_samples(differing: list[str], of_timers: list[str], is_live: bool, word: str, first: str) -> None:
+    """What depends on when a timer began says nothing about a live recording, and hides nothing else."""
+    streams = [
+        StreamVerdict(name, 3, 3, int(name in differing), first=Difference(name, 1, 5 + number, "differs"))
+        if name in differing
+        else StreamVerdict(name, 3, 3)
+        for number, name in enumerate(("/a", "/b"))
+    ]
+    race = Race(Difference("/a", 1, 5, "differs"), "", 17_000_000, is_sample=True, streams=frozenset(of_timers))
+    verdict = Verdict(3, 0, race=race, reference=Path("live.mcap"), is_live=is_live, streams=streams)
+    assert (verdict.word, verdict.first.stream if verdict.first else "") == (word, first)
+    assert verdict.exit_code == int(bool(differing)), "it is not what the recording has"
+    assert verdict.line().startswith("SAMPLED BY A TIMER") == (word == "sampled by a timer")
+
+
+@table(
+    ("uses", "libraries", "variable", "is_named"),
+    [
+        ((2.0, 1.8), {"libscipy_openblas64_-a1.so"}, "", True),
+        ((2.0, 1.8), {"libmkl_rt.so.2"}, "", True),
+        ((2.0, 1.8), {"libopenblas.so"}, "OMP_NUM_THREADS", False),
+        ((2.0, 0.1), {"libopenblas.so"}, "", False),  # one computes
+        ((0.2, 0.2), {"libopenblas.so"}, "", False),  # nothing takes long
+        ((2.0, 1.8), {"libc.so.6"}, "", False),
+    ],
+)
+def test_threads_of_linear_algebra_are_named(
+    uses: tuple[float, ...], libraries: set[str], variable: str, is_named: bool
+) -> None:
+    threads = [*(ThreadUse("python", "S", cpu_s) for cpu_s in uses), ThreadUse("igtl-resim", "S", 9.0)]
+    with (
+        patch.object(processes, "_threads", lambda _: threads),
+        patch.object(processes, "_libraries", lambda _: libraries),
+    ):
+        process = Process("planner", ["true"], {"PATH": "/usr/bin:/bin", variable or "A": "1"}, None)
+        try:
+            found = faster([process])
+        finally:
+            process.close()
+    assert bool(found) == is_named
+    assert not found or found[0].startswith("planner: 2 threads compute (lib")
