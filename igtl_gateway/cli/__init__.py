@@ -34,6 +34,7 @@ from igtl_gateway.base.systems import service
 from igtl_gateway.base.systems.signals import endings_interrupt
 from igtl_gateway.base.untrusted import cpu_time, limits
 from igtl_gateway.cli.early_port import early_ports
+from igtl_gateway.cli.importing import import_hint
 from igtl_gateway.cli.options import HelpFormatter, add_file_mode, add_limits_of_files, shorten_usage
 from igtl_gateway.cli.ros_arguments import without_ros_arguments
 from igtl_gateway.cli.terminal import Parser, discard_outputs, flush_outputs, open_outputs, print_line
@@ -140,7 +141,7 @@ def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **e
         flush_outputs()
         return code
     except (ConfigError, UnsupportedRecording) as error:
-        return _print_error(options.verb, error, USAGE)
+        return _print_error(options.verb, import_hint(error, options), USAGE)
     except GatewayError as error:
         if isinstance(error, OutputError):
             discard_outputs()

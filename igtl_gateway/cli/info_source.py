@@ -69,7 +69,7 @@ def recording_of(path: Path) -> Iterator[Recording]:
 
 def _is_bag(path: Path) -> bool:
     """Return whether a folder is one of rosbag2, and not one of a split recording, which has the same side file."""
-    if not path.is_dir() or not (path / SIDE_FILE).is_file():
+    if not path.is_dir() or not ((path / SIDE_FILE).is_file() or any(path.glob("*.db3"))):
         return False
     try:
         with SessionFile.open(path, incomplete=True):

@@ -1,6 +1,6 @@
 """No line of a verb is wider than the terminal: each verb on recordings, on a pipe and in a terminal.
 
-Strategy: one table of commands; whoever adds a verb adds a row.  Paths, and what is for programs, may be longer.
+Strategy: one table of commands; each new verb needs a row.  Paths, and what is for programs, may be longer.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from igtl_gateway.addon import NoSuchRecording, UnsupportedRecording
+from igtl_gateway.addon import GatewayError, NoSuchRecording, UnsupportedRecording
 from igtl_gateway.addon.untrusted import files
 from igtl_gateway.addons.exchange.capture import Capture, looks_like_igtl
 from igtl_gateway.addons.exchange.itk_transform import looks_like_transform
@@ -39,6 +39,7 @@ class ImportFormat:
 
     Attributes:
         name: stable name for the command line and for programs.
+        what: such a file in words.
         suffixes: usual suffixes of such files.
         recognise: returns whether the first bytes of a file are of this format.
         open: opens a file, given the epoch in UTC ns from which times without a date count (None: the default of the
@@ -46,6 +47,7 @@ class ImportFormat:
     """
 
     name: str
+    what: str
     suffixes: tuple[str, ...]
     recognise: Callable[[bytes], bool]
     open: Callable[[Path, int | None], Source]
@@ -53,26 +55,46 @@ class ImportFormat:
 
 FORMATS = (
     ImportFormat(
-        "rosbag1", (".bag",), lambda start: start.startswith(b"#ROSBAG V"), lambda path, _epoch: Rosbag1(path)
+        "rosbag1",
+        "a bag of ROS 1",
+        (".bag",),
+        lambda start: start.startswith(b"#ROSBAG V"),
+        lambda path, _epoch: Rosbag1(path),
     ),
     ImportFormat(
         "rosbag2",
+        "a bag of rosbag2",
         (".mcap", ".db3"),
         lambda start: start.startswith((b"\x89MCAP0\r\n", b"SQLite format 3\0")),
         lambda path, _epoch: Rosbag2(path),
     ),
     ImportFormat(
         "sequence",
+        "pictures of MetaImage or NRRD",
         (".igs.mha", ".mha", ".mhd", ".igs.nrrd", ".seq.nrrd", ".nrrd", ".nhdr"),
         lambda start: start.startswith(b"NRRD000") or _is_metaimage(start),
         Sequence,
     ),
-    ImportFormat("nifti", (".nii", ".nii.gz"), looks_like_nifti, lambda path, epoch: Sequence(path, epoch, read_nifti)),
-    ImportFormat("scene", (".mrb", ".mrml"), looks_like_scene, SceneSource),
-    ImportFormat("transform", (".tfm", ".h5", ".mat", ".txt"), looks_like_transform, open_transform),
-    ImportFormat("markups", (".mrk.json", ".fcsv"), looks_like_markups, open_markups),
-    ImportFormat("pcap", (".pcap", ".cap", ".pcapng"), is_capture, lambda path, _epoch: Pcap(path)),
-    ImportFormat(IGTL, (".igtl",), looks_like_igtl, Capture),
+    ImportFormat(
+        "nifti",
+        "a picture of NIfTI",
+        (".nii", ".nii.gz"),
+        looks_like_nifti,
+        lambda path, epoch: Sequence(path, epoch, read_nifti),
+    ),
+    ImportFormat("scene", "a scene of 3D Slicer", (".mrb", ".mrml"), looks_like_scene, SceneSource),
+    ImportFormat(
+        "transform", "a transform of ITK", (".tfm", ".h5", ".mat", ".txt"), looks_like_transform, open_transform
+    ),
+    ImportFormat("markups", "markups of 3D Slicer", (".mrk.json", ".fcsv"), looks_like_markups, open_markups),
+    ImportFormat(
+        "pcap",
+        "a capture of network traffic",
+        (".pcap", ".cap", ".pcapng"),
+        is_capture,
+        lambda path, _epoch: Pcap(path),
+    ),
+    ImportFormat(IGTL, "a stream of OpenIGTLink messages", (".igtl",), looks_like_igtl, Capture),
 )
 
 #: What is no recording, but found beside them: the beginning of a file, or else its suffix → its name for people.
@@ -107,7 +129,7 @@ def open_source(path: Path, epoch_ns: int | None = None) -> Source:
     if not path.exists():
         raise NoSuchRecording(f"{path}: no such file")
     if path.is_dir():
-        if (path / METADATA).exists() or any(path.glob("*.db3*")) or any(path.glob("*.mcap*")):
+        if _is_bag(path):
             return Rosbag2(path)
         raise UnsupportedRecording(f"{path}: found a directory without {METADATA}, expected a rosbag2 recording")
     with library_errors_as_damage(path), files.open_file(path) as stream:
@@ -118,6 +140,28 @@ def open_source(path: Path, epoch_ns: int | None = None) -> Source:
         return kind.open(path, epoch_ns)
     suffixes = " ".join(suffix for kind in FORMATS for suffix in kind.suffixes)
     raise UnsupportedRecording(f"{path}: found {_found(path, start)}, expected one of these: {suffixes}")
+
+
+def what_to_import(path: Path) -> str:
+    """Return what a file or directory is that only an import reads, in words; "" for anything else.
+
+    An MCAP file counts: whether it is a recording of this program, its caller knows.
+    """
+    try:
+        if path.is_dir():
+            return "a bag of rosbag2" if _is_bag(path) else ""
+        with files.open_file(path) as stream:
+            start = stream.read(START)
+    except (GatewayError, OSError):
+        return ""
+    if path.name.endswith((".db3.zstd", ".mcap.zstd")):
+        return "a bag of rosbag2"
+    kind = format_of(start)
+    return kind.what if kind else ""
+
+
+def _is_bag(folder: Path) -> bool:
+    return (folder / METADATA).exists() or any(folder.glob("*.db3*")) or any(folder.glob("*.mcap*"))
 
 
 def _found(path: Path, start: bytes) -> str:
