@@ -27,6 +27,7 @@ from igtl_gateway.gateway.log.ledger import gaps
 from igtl_gateway.gateway.log.marks import Mark, joined
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.stream_units import StreamUnits
+from igtl_gateway.record.reports import AGAIN
 from igtl_gateway.record.sessionfile import facts, layout
 from igtl_gateway.record.sessionfile.added_marks import added_marks, marks_files
 from igtl_gateway.record.sessionfile.index import recover_hint
@@ -317,7 +318,7 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
         ("triggers", _triggers((summary["ledger"] or {}).get(layout.TRIGGERS_KEY, ()), start_ns)),
         ("problems", [f"{number:>7,}  {code}" for code, number in summary["problems"].items()] or ["   none"]),
         ("first note of each problem", _firsts(notes, start_ns)),
-        ("losses", [_NOT_YET] if "being_recorded" in summary else losses(summary["ledger"]) or ["   none"]),
+        ("losses", _gaps(notes, start_ns) + _losses(summary)),
         (
             "skipped",
             [f"{each['topic']} ({count_text(each['count'], 'message')}): {each['why']}" for each in summary["skipped"]],
@@ -327,6 +328,20 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
             print_line(f"  {title}")
             for line in lines:
                 print_line(f"    {line}")
+
+
+def _losses(summary: dict[str, Any]) -> list[str]:
+    return [_NOT_YET] if "being_recorded" in summary else losses(summary["ledger"]) or ["   none"]
+
+
+def _gaps(notes: list[tuple[int, Kind, Note]], start_ns: int) -> list[str]:
+    """Return the times in which the disk took nothing, a line each."""
+    found = [(stamp, note.data.get("missing_s")) for stamp, _, note in notes if note.code == AGAIN]
+    return [
+        f"   gap of {missing_s:,.1f} s, until {(stamp - start_ns) / NS_PER_S:,.3f} s: the disk took nothing"
+        for stamp, missing_s in found
+        if isinstance(missing_s, (int, float))
+    ]
 
 
 def _missing(gaps: list[list[int]]) -> str:

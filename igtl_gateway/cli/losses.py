@@ -71,6 +71,8 @@ def losses(ledger: dict[str, Any] | None) -> list[str]:
     lines = []
     if layout.CUT_OFF_KEY in ledger and layout.GOES_ON_KEY in ledger:
         lines.append(f"   {NO_END}")
+    elif layout.CUT_OFF_KEY in ledger and (why := ledger.get("recorder", {}).get("failure")):
+        lines.append(f"   unknown: {why}; the file has what was written before")
     elif layout.CUT_OFF_KEY in ledger:
         lines.append(
             "   unknown: the bridge was killed; its recorder wrote all entries that it received and closed the file"

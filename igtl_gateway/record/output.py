@@ -153,6 +153,11 @@ class Output:
         self.rows = None
         return self.in_files().abandon()
 
+    def finish_abandoned(self, ledger: dict[str, Any]) -> None:
+        """Give the file that was left its end, as SoleFile.finish_abandoned."""
+        if isinstance(self.writer, SoleFile | PartsWriter):
+            self.writer.finish_abandoned(ledger)
+
     def _forget_channels(self) -> None:
         """The streams of the queue have no channels in the next file yet."""
         self._row_streams[:] = [None] * len(self._row_streams)

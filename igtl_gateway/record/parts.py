@@ -95,6 +95,7 @@ class PartsWriter:
         self._gone: set[Path] = set()  # those of them that were removed
         self._left: list[Path] = []  # parts that could not be written to their end
         self._left_entries = 0
+        self._without_end: SessionWriter | None = None  # the last of them
         self._number = self._name = 0  # of the part, and the one in its name, which may be larger
         self._asked = False  # the next part
         self._begun_ns: deque[int] = deque(maxlen=MAX_PER_MINUTE)  # stamps of the inputs before which parts began
@@ -199,8 +200,27 @@ class PartsWriter:
         self._rests = self._ended = True
         if not part.was_taken:
             self._left.append(part.path)
+            self._without_end = part
         self._left_entries += part.flushed_entries
         return part.entries - part.flushed_entries, part.was_taken
+
+    def finish_abandoned(self, ledger: dict[str, Any]) -> None:
+        """As SoleFile.finish_abandoned; the part is among the complete ones then."""
+        part = self._without_end
+        if part is None or not part.finish_after_failure(ledger):
+            return
+        self._without_end = None
+        self._left.remove(part.path)
+        self._left_entries -= part.flushed_entries
+        self._keep(part)
+        with contextlib.suppress(OSError):  # the next part writes it again
+            self.update_side_file()
+
+    def _keep(self, part: SessionWriter) -> None:
+        """It is one of the complete parts now.  Raises OSError."""
+        size = part.path.stat().st_size
+        topics = tuple(part.topics())
+        self._parts.append(RecordingPart(part.path, part.start_ns, part.end_ns, part.entries, topics, size))
 
     def begin(self) -> Path:
         """Begin the next part after a rest, and return its path.  Raises RecordingError."""
@@ -299,12 +319,9 @@ class PartsWriter:
         part = self._part
         part.close(ledger, last_part=last_part)
         try:
-            size = part.path.stat().st_size
             if not self._ended:
+                self._keep(part)
                 self._ended = True
-                self._parts.append(
-                    RecordingPart(part.path, part.start_ns, part.end_ns, part.entries, tuple(part.topics()), size)
-                )
             self.update_side_file()
         except OSError as error:
             raise RecordingError(f"recording to {self.path} failed: {error.strerror or error}") from error

@@ -46,6 +46,7 @@ class SoleFile:
         self._number = 0
         self._previous = ""
         self._closed: list[Path] = []  # on request
+        self._without_end: SessionWriter | None = None  # the last file that the disk refused
         self._closed_entries = 0
         #: The writer of the present file; None in a rest.
         self.file: SessionWriter | None = None
@@ -130,9 +131,15 @@ class SoleFile:
         self.file = None
         if not file.was_taken:
             self._closed.append(file.path)
+            self._without_end = file
         self._closed_entries += file.flushed_entries
         self._previous = file.path.name
         return file.entries - file.flushed_entries, file.was_taken
+
+    def finish_abandoned(self, ledger: dict[str, Any]) -> None:
+        """Give the file that was left last its end, if the disk has room for it; this may be called again."""
+        if self._without_end and self._without_end.finish_after_failure(ledger):
+            self._without_end = None
 
     def begin(self) -> Path:
         """Open the next file after a rest, and return its path.  Raises RecordingError."""

@@ -22,6 +22,8 @@ LOW_S = (1800.0, 300.0)
 #: The rate is that of this time, and of no less than that one; between two looks.
 _WINDOW_NS, _LEAST_NS, LOOK_NS = 60 * NS_PER_S, 3 * NS_PER_S, NS_PER_S
 _IN_A_ROW = 3
+#: A full disk has room again when it has these bytes more, and as many as the recording has in these seconds.
+_ROOM, _ROOM_S = 1 << 20, 10
 
 
 def free_bytes(folder: Path) -> int | None:
@@ -51,7 +53,13 @@ class SpaceWatch:
         self._seen: deque[tuple[int, int, int]] = deque()  # time, written, free
         self._level = self._next_level = self._in_a_row = 0
         self._looked_ns = 0
+        self._rate = 0.0  # bytes in a second, as long as something is written
         self._closed_bytes = self._present_bytes = 0  # of the files before the present one, and of that
+
+    def has_more_than(self, full: int) -> bool:
+        """Return whether a disk that was full with these bytes free has room again, for several seconds at least."""
+        room = max(_ROOM, int(_ROOM_S * self._rate))
+        return self.free_bytes is not None and self.free_bytes >= full + room
 
     def is_due(self, now_ns: int) -> bool:
         """Return whether it is time for the next look."""
@@ -93,6 +101,7 @@ class SpaceWatch:
             return None
         room = self._until_deleted()
         rate = max(written - before, free_before - free) / (now_ns - begun_ns) * NS_PER_S
+        self._rate = (written - before) / (now_ns - begun_ns) * NS_PER_S or self._rate
         return free / rate if rate > 0 and (room is None or room > free) else None
 
     def _note(self, free: int, *, rises: bool) -> Note:

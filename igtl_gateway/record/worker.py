@@ -148,6 +148,7 @@ class _RecorderWorker:
         self._failures = Failures()
         self._gate = SelectionFilter(options.selection, settings.rule)
         self._space = SpaceWatch(lambda: free_bytes(settings.path.absolute().parent), self._until_deleted)
+        self._full_bytes: int | None = None  # free bytes of a disk that has failed
         self._taken = 0  # entries and commands at the last poll
         self._seen_refused = 0
         self._requests: list[tuple[str, int, int]] = []  # start, stop, snapshot or again; its number; UTC ns
@@ -547,6 +548,7 @@ class _RecorderWorker:
             lost, was_taken = self._output.abandon()
             if lost:
                 self._account.dropped[TAKEN if was_taken else UNFLUSHED] += lost
+            self._finish_abandoned()
             if self._options.stop_on_failure:
                 then = "the bridge stops"
             elif self._rests or self._ledger is not None:
@@ -556,10 +558,16 @@ class _RecorderWorker:
                 then = "the bridge goes on without recording; the disk is tried again, in a new file"
         self._note(Note(Level.ERROR, FAILED, f"{text}; {then}"))
 
+    def _finish_abandoned(self) -> None:
+        """Give the file that the disk has refused its end: at once, when the disk works again, or at the end."""
+        counters = self._state().counters(self._account.not_queued)
+        self._output.finish_abandoned({layout.CUT_OFF_KEY: True, "recorder": counters})
+
     def _go_on_after_failure(self) -> None:
         """Begin the next file after a failure of the disk; before an input.  If that fails, it is tried later."""
         if self._failures.again_ns is None or isinstance(self._output.writer, Ring):
             return
+        self._finish_abandoned()
         try:
             path = self._output.begin(is_cut=True)
         except (RecordingError, OSError):
@@ -572,11 +580,19 @@ class _RecorderWorker:
         self._note(Note(Level.WARN, AGAIN, text, data={"path": str(path), "missing_s": round(missing_s, 1)}))
 
     def _look_at_disk(self, now_ns: int) -> None:
-        """Try a disk again that has failed, and look how much room it has."""
+        """Look how much room the disk has, and try one again that has failed: after a while, or when it has more."""
+        if self._space.is_due(now_ns):
+            note = self._space.look_at(now_ns, self._output.writer.size)
+            if self._failures.again_ns is None:
+                self._full_bytes = None
+            elif self._full_bytes is None:
+                self._full_bytes = self._space.free_bytes
+            elif self._space.has_more_than(self._full_bytes):
+                self._failures.again_ns = now_ns
+            if note and self._failures.again_ns is None:
+                self._note(note)
         if self._failures.is_due(now_ns) and not any(each[0] == "again" for each in self._requests):
             self._requests.append(("again", 0, self._clock.utc_ns()))
-        if self._space.is_due(now_ns) and (note := self._space.look_at(now_ns, self._output.writer.size)):
-            self._note(note)
 
     def _until_deleted(self) -> int | None:
         return self._retention.until_deleted if self._retention else None
@@ -585,6 +601,7 @@ class _RecorderWorker:
 
     def _finish(self) -> None:
         self._gate.end()
+        self._guarded(self._finish_abandoned)
         self._guarded(self._report_missing)
         counters = self._counters()
         ledger = {**({layout.CUT_OFF_KEY: True} if self._ledger is None else self._ledger), "recorder": counters}

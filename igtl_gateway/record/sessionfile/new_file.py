@@ -11,7 +11,7 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from io import BufferedWriter
+from io import BufferedWriter, FileIO
 from pathlib import Path
 from typing import Literal, TextIO
 
@@ -67,6 +67,11 @@ def open_new(path: Path, mode: Literal["xb", "wb", "ab"] = "xb") -> BufferedWrit
     file = open(path, mode, opener=_open_new)
     limit_mode(path)
     return file
+
+
+def unbuffered(file: BufferedWriter) -> FileIO:
+    """Return an open file again, without its buffer and with its lock; both are to be closed.  Raises OSError."""
+    return FileIO(os.dup(file.fileno()), "wb")
 
 
 def open_text(path: Path, mode: Literal["x", "w"] = "x", newline: str | None = None) -> TextIO:

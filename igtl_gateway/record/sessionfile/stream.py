@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import IO
+from typing import IO, Any
 
 from mcap.records import (
     Attachment,
@@ -115,6 +115,7 @@ class McapStream:
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         self._counts: dict[int, int] = {}
+        self._flushed = self._state()
 
     def start(self, profile: str, library: str) -> None:
         """To be called first."""
@@ -245,6 +246,38 @@ class McapStream:
         if self._sealer and self._sealer.is_due:
             self._put_seal(self._sealer)
         self._file.flush()
+        self._flushed = self._state()
+
+    def _state(self) -> tuple[int, ...]:
+        """What is in the file, as far as only more can come."""
+        return self.size, len(self._chunks), self._chunk_count, self._first, self._last, *map(len, self._lists())
+
+    def _lists(self) -> tuple[list[Any], ...]:
+        return self._attachments, self._metadata, self.schemas, self.channels
+
+    @property
+    def flushed_size(self) -> int:
+        """Bytes of the file at the last flush."""
+        return self._flushed[0]
+
+    def go_back(self, file: IO[bytes], counts: dict[int, int]) -> None:
+        """Forget what came after the last flush; what follows goes to another file, whose bytes belong there.
+
+        Args:
+            counts: messages by channel at the last flush.
+        """
+        self._file, self._counts = file, counts
+        self._chunk.clear()
+        self._held.clear()
+        self.size, length, self._chunk_count, self._first, self._last, *lengths = self._flushed
+        del self._chunks[length:]
+        for each, number in zip(self._lists(), lengths, strict=True):
+            del each[number:]
+
+    @property
+    def counts(self) -> dict[int, int]:
+        """Messages by channel, of complete chunks."""
+        return dict(self._counts)
 
     def finish(self, *, last_part: bool = True) -> None:
         """Write the end of the file; nothing can be added after that.

@@ -13,7 +13,7 @@ import errno
 import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
-from io import BufferedWriter, BytesIO
+from io import BufferedWriter, BytesIO, FileIO
 from pathlib import Path
 from typing import Any, Literal
 
@@ -33,7 +33,7 @@ from igtl_gateway.record.sessionfile.figures import Figures
 from igtl_gateway.record.sessionfile.large_outputs import DIGEST_NAME, LARGE_BYTES, Causes, LargeOutputs, pack_digest
 from igtl_gateway.record.sessionfile.layout import CHUNK_BYTES, LayoutError
 from igtl_gateway.record.sessionfile.messages import RawPacker, device_name, pack_message
-from igtl_gateway.record.sessionfile.new_file import cannot_begin, create_file, os_error_text
+from igtl_gateway.record.sessionfile.new_file import cannot_begin, create_file, os_error_text, unbuffered
 from igtl_gateway.record.sessionfile.schemas import RosTypes
 from igtl_gateway.record.sessionfile.sealing import Sealer
 from igtl_gateway.record.sessionfile.side_file import TopicCount, topic_counts
@@ -120,6 +120,10 @@ class SessionWriter:
         self._schemas: dict[str, int] = {}
         self._figures: dict[str, Figures] = {}
         self._closed = False
+        self._end: tuple[int, bytes] | None = None  # of a file that the disk has refused: its place and its bytes
+        self._refused: FileIO | None = None  # that file
+        self._sealed = sealer is not None
+        self._flushed: tuple[int, dict[int, int]] = 0, {}  # end, and messages by channel, at the last flush
         self._failure = ""
         self._fsync = fsync
         before = packed_session(prologue, qos_of, definition_of, self._types)
@@ -289,7 +293,7 @@ class SessionWriter:
         with self._disk_errors():
             self._mcap.flush()
             self._check_file("flush")
-        self.flushed_entries = self.entries
+        self.flushed_entries, self._flushed = self.entries, (self.end_ns, self._mcap.counts)
 
     @property
     def has_failed(self) -> bool:
@@ -323,6 +327,42 @@ class SessionWriter:
             self._check_file("flush", "close")
             if isinstance(self._file, BufferedWriter):
                 self._file.close()
+
+    def finish_after_failure(self, ledger: dict[str, Any]) -> bool:
+        """Give a file of which the disk has refused something its end, behind what was flushed; whether it has one.
+
+        To be called again when there is room.  A sealed file stays without: its seals cannot go back.
+        """
+        raw = self._refused
+        if raw is None:
+            return False
+        if self._end is None:
+            end, size = BytesIO(), self._mcap.flushed_size
+            self.entries, (self.end_ns, counts) = self.flushed_entries, self._flushed
+            self._mcap.go_back(end, counts)
+            self._mcap.add_metadata(layout.LEDGER_METADATA, layout.seal_ledger(ledger))
+            self._mcap.finish()
+            self._end = size, end.getvalue()
+        size, data = self._end
+        try:
+            raw.truncate(size)
+            raw.seek(size)
+            left = memoryview(data)
+            while left:
+                left = left[raw.write(left) or 0 :]
+        except OSError:
+            with suppress(OSError):
+                raw.truncate(size)
+            return False
+        self.give_up()
+        return True
+
+    def give_up(self) -> None:
+        """Leave a file without its end."""
+        raw, self._refused = self._refused, None
+        if raw:
+            with suppress(OSError):
+                raw.close()
 
     @property
     def files(self) -> list[Path]:
@@ -452,6 +492,10 @@ class SessionWriter:
     def _failed(self, error: OSError) -> RecordingError:
         """After an error the contents of file and buffers are unknown, so nothing more is written."""
         self._failure = f"recording to {self.path} failed: {os_error_text(error)}"
+        if not (isinstance(error, _TakenAway) or self._sealed) and isinstance(self._file, BufferedWriter):
+            with suppress(OSError):  # its end is written when there is room; until then it has what was flushed
+                self._refused = unbuffered(self._file)  # what is in the buffer must not follow
+                self._refused.truncate(self._mcap.flushed_size)
         self._abandon()
         if isinstance(error, _TakenAway):
             self.was_taken, self.flushed_entries = True, 0
