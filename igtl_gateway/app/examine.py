@@ -8,20 +8,24 @@ accepts a STATUS, and its text ends with an empty line, so a web server answers,
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from igtl_gateway.app.hub import Hub
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import ConfigError, Unavailable
+from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.doctor.graph import Graph
 from igtl_gateway.doctor.observer import ExpectedLinks, Observer
 from igtl_gateway.doctor.protocols import is_openigtlink
+from igtl_gateway.doctor.sources import TF_TOPICS
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.tcp import TcpEdge, TlsFiles
 from igtl_gateway.gateway import Gateway, Session
 from igtl_gateway.gateway.dialogue.probing import PROBE, PROBE_DEVICE
+from igtl_gateway.gateway.expected import ExpectedSource
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire import Message, encode
@@ -44,6 +48,7 @@ class ExamineOptions:
 
     Attributes:
         connect: address of the peer's server.
+        servers: those of the configuration, which are connected to, too.
         listen: address to listen on; with it, ``connect`` is tried only if no client connects.
         seconds: longest duration of the observation.
         messages: number of messages after which the observation ends; 0: no such number.
@@ -53,11 +58,14 @@ class ExamineOptions:
         ros: also examine the ROS graph.
         tls: files for TLS.
         tls_listen, tls_connect: whether ``listen`` and ``connect`` use TLS.
+        tls_servers: those of ``servers`` that use TLS.
+        expected: the sources that are looked for; None: those of the configuration.
     """
 
     connect: Address | None
     listen: Address | None
     seconds: float
+    servers: tuple[Address, ...] = ()
     messages: int = 0
     speak: int = 1
     allow: tuple[str, ...] = ()
@@ -65,6 +73,8 @@ class ExamineOptions:
     tls: TlsFiles = field(default_factory=TlsFiles)
     tls_listen: bool = False
     tls_connect: bool = False
+    tls_servers: frozenset[Address] = frozenset()
+    expected: Sequence[ExpectedSource] | None = None
 
 
 def examine(config: Config, options: ExamineOptions, clock: Clock, stop: threading.Event) -> Observer:
@@ -74,19 +84,23 @@ def examine(config: Config, options: ExamineOptions, clock: Clock, stop: threadi
 
     Raises ConfigError for an unusable address, and RosError if the options require ROS and it is not available.
     """
-    intent = (
-        ExpectedLinks("server", _address_text(options.listen))
-        if options.listen
-        else ExpectedLinks("client", _address_text(options.connect))
-    )
-    examination = _Examination(config, options, clock, stop, Observer(config, intent))
-    ros = _graph_edge() if options.ros else None
+    intent = None
+    if options.listen:
+        intent = ExpectedLinks("server", _address_text(options.listen))
+    elif options.connect:
+        intent = ExpectedLinks("client", _address_text(options.connect))
+    seen = Observer(config, intent)
+    if options.expected is not None:
+        seen.sources.expected = list(options.expected)
+    examination = _Examination(config, options, clock, stop, seen)
+    ros = _graph_edge(examination.transforms if config.tf_out else None) if options.ros else None
     try:
         if ros:
             ros.start()
         begun_ns = clock.monotonic_ns()
         examination.run()
         if ros:
+            seen.sources.reads_tf = True
             left_s = _GRAPH_S + (begun_ns - clock.monotonic_ns()) / NS_PER_S
             threading.Event().wait(max(0.0, left_s))
             examination.seen.graph = Graph.of(examination.gateway, examination.seen.published, ros.endpoints())
@@ -101,12 +115,19 @@ def _address_text(address: Address | None) -> str:
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
-def _graph_edge() -> RosEdge:
-    """Return a ROS edge that only discovers the graph."""
+def _graph_edge(on_transforms: Callable[[str, bytes], None] | None) -> RosEdge:
+    """Return a ROS edge that discovers the graph, and reads the tf tree."""
+
+    def received(topic: str, _type: str, cdr: bytes, _source_ns: int) -> None:
+        if on_transforms:
+            on_transforms(topic, cdr)
+
     return RosEdge(
         node_name=_NODE,
-        on_message=lambda _topic, _type, _cdr, _source: None,
-        wants=lambda _topic, _type: None,
+        on_message=received,
+        wants=lambda topic, _type: (
+            Qos(100, latched=topic == "/tf_static") if on_transforms and topic in TF_TOPICS else None
+        ),
         on_note=lambda _note: None,
     )
 
@@ -123,18 +144,31 @@ class _Examination:
         self._lock = threading.Lock()  # guards ``seen``
         self._hub = Hub(Session(self.gateway), clock, [self._on_entry])
 
+    def transforms(self, topic: str, cdr: bytes) -> None:
+        """Take a message of the tf tree."""
+        with self._lock:
+            self.seen.sources.transforms(topic, cdr)
+
     def run(self) -> None:
         """Observe in the TCP role of the options; if no peer is connected after half of the time, in the other role."""
         listen, connect = self._options.listen, self._options.connect
         edge = self._edge()
         try:
+            for server in self._options.servers:
+                edge.connect(*server, tls=server in self._options.tls_servers)
             if listen is None:
                 free = True
                 self._dial(edge, connect, self._options.tls_connect)
             else:
                 free = self._serve(edge, listen)
+            if self._options.servers and not (listen or connect):
+                edge.start()
             if free:
                 self._observe(edge, self._options.seconds, needs_peer=True)
+            if self._options.servers:
+                absent = {link.peer for link in edge.links() if not link.number}
+                asked = map(_address_text, (*self._options.servers, *([connect] if connect else ())))
+                self.seen.sources.links = {address: address not in absent for address in asked}
         finally:
             edge.stop(0)
         if self.seen.peers or self._stop.is_set():

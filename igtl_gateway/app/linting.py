@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.base.errors import DamagedRecording
+from igtl_gateway.base.untrusted.text import parse_json
 from igtl_gateway.doctor.observer import Observer
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.sessionfile.large_outputs import DigestedOutput
+from igtl_gateway.record.sessionfile.layout import EXCLUDE_KEY, INCLUDE_KEY
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.salvage import Salvage
 from igtl_gateway.replay.recorded_config import config_to_run
@@ -27,6 +31,8 @@ def observe(
     Raises DamagedRecording, ConfigError.
     """
     seen = Observer(config_to_run(file.session, config))
+    seen.sources.is_recording = True
+    seen.sources.selected = _globs(file.session, INCLUDE_KEY), _globs(file.session, EXCLUDE_KEY)
     for entry in file.entries():
         if isinstance(entry, DigestedOutput):  # of a damaged file: nothing can be found in it
             continue
@@ -37,6 +43,15 @@ def observe(
     if isinstance(file, SessionFile):
         seen.damaged_indexes = file.damaged_indexes()
     return seen
+
+
+def _globs(session: Mapping[str, str], key: str) -> tuple[str, ...]:
+    """Return the globs of a fact about the selection of streams; none if it has another form."""
+    with suppress(DamagedRecording):
+        found = parse_json(session.get(key, "[]"), key)
+        if isinstance(found, list):
+            return tuple(each for each in found if isinstance(each, str))
+    return ()
 
 
 def _losses(ledger: dict[str, Any]) -> Iterator[tuple[str, int]]:

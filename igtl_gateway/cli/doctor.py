@@ -21,6 +21,8 @@ EXAMPLES = """\
   igtl-gateway doctor tls://or1.clinic --tls-cert me.pem --tls-ca clinic.pem
   # also compare with the ROS graph; for programs
   igtl-gateway doctor :18944 --ros --json
+  # which topics, frames and servers of a configuration are not there
+  igtl-gateway doctor --ros --config bridge.toml
   # check a recording: stamps, names, units, CRCs, header versions, losses
   igtl-gateway doctor out.mcap
   # check this machine: scheduling, timers, limits, memory

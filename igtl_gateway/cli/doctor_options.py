@@ -46,7 +46,12 @@ OPTIONS = (
         choices=(0, 1, 2),
         needs=(PEER,),
     ),
-    Setting("ros", False, "also compare with the topics, types and QoS of the ROS graph", needs=(PEER,)),
+    Setting(
+        "ros",
+        False,
+        "also look at the ROS graph: topics, types and QoS; with --config also without a peer",
+        needs=(PEER,),
+    ),
     Setting(
         "host",
         False,

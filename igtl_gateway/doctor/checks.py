@@ -16,7 +16,6 @@ from igtl_gateway.convert.names import MAX_DEVICE_NAME, topic_token
 from igtl_gateway.doctor.observations import ObservedPeer, ObservedStream
 from igtl_gateway.doctor.observer import MAX_STREAMS, Observer
 from igtl_gateway.doctor.protocols import is_openigtlink, protocol_of
-from igtl_gateway.gateway.expected import NO_SOURCE, PresentSources, expected_sources, missing_sources
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.header import HEADER_VERSIONS
@@ -477,14 +476,12 @@ def unconverted(observed: Observer) -> Iterator[RuleMatch]:
 
 
 def no_source(observed: Observer) -> Iterator[RuleMatch]:
-    """A configured topic, arm or device that is not there; frames are known to a running bridge only."""
-    if observed.graph:
-        devices = {stream.raw_device for stream in observed.streams.values()} or None
-        present = PresentSources(observed.graph.published, None, devices)
-        for missing in missing_sources(expected_sources(observed.config), present):
-            yield RuleMatch(missing.source.name, missing.text, {"setting": missing.source.setting})
-    if noted := observed.notes.get(NO_SOURCE):
-        yield RuleMatch(noted.first.stream, noted.first.text, {"count": noted.count})
+    """A configured source that is not there."""
+    missing = observed.sources.missing(
+        observed.streams.values(), observed.topics, observed.peers.values(), observed.graph
+    )
+    for name, text, setting in missing:
+        yield RuleMatch(name, text, {"setting": setting})
 
 
 def no_subscriber(observed: Observer) -> Iterator[RuleMatch]:
@@ -528,7 +525,7 @@ def too_many_streams(observed: Observer) -> Iterator[RuleMatch]:
 
 
 def no_messages(observed: Observer) -> Iterator[RuleMatch]:
-    if observed.expected is None and not observed.streams:
+    if observed.expected is None and observed.graph is None and not observed.streams:
         yield RuleMatch("recording", "the recording has no OpenIGTLink messages from peers: most rules do not apply")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from igtl_gateway.base.qos import Endpoint, Qos, incompatible
 from igtl_gateway.convert.table import TO_ROS
@@ -40,24 +40,25 @@ class Graph:
         endpoints: publishers and subscriptions of other nodes on topics of the gateway; also those of a running bridge.
         unconverted: topic → type that the gateway is configured to send, but that has no conversion.
         sent: topics that the gateway sends to peers.
-        published: all topics that other nodes publish.
+        published: each topic that other nodes publish → its types.
     """
 
     offers: Mapping[str, PublishedTopic]
     endpoints: Sequence[Endpoint]
     unconverted: Mapping[str, str]
     sent: frozenset[str]
-    published: frozenset[str] = frozenset()
+    published: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, gateway: Gateway, published: Mapping[str, str], endpoints: Iterable[Endpoint]) -> Graph:
         """Select the part of the ROS graph that concerns a gateway which has ``published`` (topic → type) so far."""
         offers = {topic: PublishedTopic(kind, qos) for topic, kind in published.items() if (qos := gateway.qos(topic))}
-        chosen, unconverted, sent, all_published = [], {}, set(), set()
+        chosen, unconverted, sent = [], {}, set()
+        all_published: dict[str, frozenset[str]] = {}
         for endpoint in endpoints:
             topic, kind = endpoint.topic, endpoint.type
             if endpoint.publishes:
-                all_published.add(topic)
+                all_published[topic] = all_published.get(topic, frozenset()) | {kind}
             if topic not in offers and not endpoint.publishes and (offer := _offer(topic, kind)):
                 offers[topic] = offer
             if endpoint.publishes and topic not in offers and gateway.lacks_conversion(topic, kind):
@@ -66,7 +67,7 @@ class Graph:
                 sent.add(topic)
             if topic in offers or topic in sent or topic.startswith((IN, OUT)):
                 chosen.append(endpoint)
-        return cls(offers, chosen, unconverted, frozenset(sent), frozenset(all_published))
+        return cls(offers, chosen, unconverted, frozenset(sent), all_published)
 
     def clashes(self) -> Iterator[QosClash]:
         """Yield the pairs that the middleware does not connect.  The gateway's subscriptions adapt to publishers."""

@@ -162,6 +162,8 @@ class ObservedPeer:
     Attributes:
         number: of the link.
         address: of the peer.
+        local: address of this side.
+        asked: address of the peer as the configuration has it; "" if it is ``address``.
         role: of this program: ``"server"`` if the peer has connected to it.
         up_ns, down_ns: gateway times of begin and end, UTC; 0 = unknown.
         reason: why the link ended.
@@ -176,6 +178,8 @@ class ObservedPeer:
 
     number: int
     address: str = ""
+    local: str = ""
+    asked: str = ""
     role: str = ""
     up_ns: int = 0
     down_ns: int = 0

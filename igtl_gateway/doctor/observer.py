@@ -18,6 +18,7 @@ from igtl_gateway.doctor.denormals import LEAST_FLOAT32, denormal_in_ros, denorm
 from igtl_gateway.doctor.graph import Graph
 from igtl_gateway.doctor.observations import NoteCount, ObservedPeer, ObservedStream, ObservedTopic
 from igtl_gateway.doctor.protocols import is_openigtlink
+from igtl_gateway.doctor.sources import TF_TOPICS, ObservedSources
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, metadata
 from igtl_gateway.gateway.dialogue.probing import PROBE_DEVICE, is_reply
 from igtl_gateway.gateway.log.clocksteps import ClockStep, without_jump
@@ -68,6 +69,7 @@ class Observer:
         too_many_streams: whether there are more streams or links than are observed.
         published: ROS topic → type that the gateway publishes.
         notes: notes of edges and gateway, by code; begin and end of links are in ``peers``.
+        sources: what of the configuration is there.
         graph: publishers and subscriptions in ROS that concern the gateway; None if not observed.
         damage: damage of the recording itself; "" without damage.
         damaged_indexes: number of chunks of the recording whose index of messages is damaged.
@@ -84,6 +86,7 @@ class Observer:
         self.too_many_streams = False
         self.published: dict[str, str] = {}
         self.notes: dict[str, NoteCount] = {}
+        self.sources = ObservedSources(config)
         self.graph: Graph | None = None
         self.damage = ""
         self.damaged_indexes = 0
@@ -131,6 +134,8 @@ class Observer:
         for number in entry.links:
             peer = self.peer(number)
             peer.address = str(note.data.get("peer", "")) or peer.address
+            peer.local = str(note.data.get("local", "")) or peer.local
+            peer.asked = str(note.data.get("asked", "")) or peer.asked
             peer.role = str(note.data.get("role", "")) or peer.role
             if note.code == LINK_UP:
                 peer.up_ns = entry.stamp_ns
@@ -142,6 +147,7 @@ class Observer:
     def _noted(self, entry: Entry) -> None:
         note = Note.of(entry.data())
         self.notes.setdefault(note.code, NoteCount(0, note)).count += 1
+        self.sources.noted(note)
         if step := ClockStep.of(entry):
             self._ahead_ns = step.ahead_ns
             for stream in self.streams.values():
@@ -200,6 +206,8 @@ class Observer:
                 return
             topic = self.topics[entry.channel] = ObservedTopic(entry.type)
         topic.messages += 1
+        if entry.channel in TF_TOPICS:
+            self.sources.transforms(entry.channel, entry.data())
         if topic.messages > MAX_LOOKED_AT or not entry.payload:
             return
         if found := denormal_in_ros(entry.type, entry.data()):

@@ -11,9 +11,6 @@ from igtl_gateway.doctor.observations import ObservedStream
 from igtl_gateway.doctor.observer import Observer
 from igtl_gateway.doctor.rules import RuleFinding, Severity, judge
 
-#: Maximum number of findings of one rule that are printed; the others are counted.
-SHOWN = 3
-
 
 @dataclass(frozen=True, slots=True)
 class DoctorReport:
@@ -100,10 +97,10 @@ class DoctorReport:
             if number == 1:
                 yield f"{rule.severity.value.upper():<7} {rule.id}  {rule.title}"
                 yield f"        {rule.advice}  [{rule.section}]"
-            if number <= SHOWN:
+            if number <= rule.shown:
                 yield f"        - {match.where}: {match.text}"
-            elif number == SHOWN + 1:
-                more = sum(other.rule is rule for other in self.findings) - SHOWN
+            elif number == rule.shown + 1:
+                more = sum(other.rule is rule for other in self.findings) - rule.shown
                 yield f"        - and {more:,} more, see --json"
             last = rule.id
         cause = self.cause

@@ -35,6 +35,7 @@ class Rule:
         section: of the protocol (``Protocol/….md`` of OpenIGTLink) or of this project's documents.
         advice: what to do.
         check: yields the cases.
+        shown: number of cases that are printed; the others are counted.
     """
 
     id: str
@@ -42,6 +43,7 @@ class Rule:
     section: str
     advice: str
     check: Callable[[Observer], Iterable[RuleMatch]]
+    shown: int = 3
 
     @property
     def severity(self) -> Severity:
@@ -191,8 +193,8 @@ RULES: tuple[Rule, ...] = (
         "install the package of the type, or correct the name", checks.ros_refused,
     ),
     Rule(
-        "IGTL-W607", "a configured topic, arm, frame or device is not there", f"{DOCTOR}: ROS graph",
-        "correct the name, or start the program that sends it", checks.no_source,
+        "IGTL-W607", "a configured source is not there", "docs/how-to/nothing-arrives.md",
+        "correct the name, or start the program that sends it", checks.no_source, shown=20,
     ),
     Rule(
         "IGTL-W501", "metres sent as millimetres?", "Protocol/transform.md",

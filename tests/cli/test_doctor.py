@@ -365,6 +365,71 @@ def test_qos_that_does_not_fit(doctor: Doctor) -> None:
     assert not verdict.told["nothing_arrives"]
 
 
+@pytest.mark.ros
+def test_the_sources_of_a_configuration_on_a_ros_graph(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without a peer: topics by name, type and pattern, frames, and a server that does not answer."""
+    from rclpy.context import Context
+    from rclpy.node import Node
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+    from sensor_msgs.msg import Image
+    from std_msgs.msg import String as RosString
+    from tf2_msgs.msg import TFMessage
+
+    path, place = tmp_path / "bridge.toml", free_place()
+    path.write_text(
+        f'''
+        [igtl]
+        connect = ["{place}"]
+        [[to_igtl]]
+        topic = "/camera/imge"
+        [[to_igtl]]
+        topic = "/words"
+        type = "IMAGE"
+        [[to_igtl]]
+        topic = "/lidar/**"
+        [[tf_out]]
+        frames = ["tol0"]
+        base = "base_link"
+        ''',
+        "utf-8",
+    )
+    context = Context()
+    context.init(args=[])
+    node = Node("robot", context=context)
+    try:
+        for kind, topic in ((Image, "/camera/image"), (RosString, "/words")):
+            node.create_publisher(kind, topic, 1)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        tree = TFMessage()
+        tree.transforms.append(geometry("base_link", "tool0"))
+        node.create_publisher(TFMessage, "/tf_static", latched).publish(tree)
+        deadline = time.monotonic() + DISCOVERY_S
+        while True:  # until DDS has discovered the node
+            assert main(["doctor", "--ros", "--config", str(path), "--seconds", "1", "--json"]) == 1
+            told = json.loads(capsys.readouterr().out)
+            found = {one["where"]: one["text"] for one in told["findings"] if one["id"] == "IGTL-W607"}
+            if "'tool0'" in found.get("tol0", "") or time.monotonic() > deadline:
+                break
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+    assert found == {
+        "/camera/imge": "topic /camera/imge: no publisher; did you mean '/camera/image'? (to_igtl[0])",
+        "/words": "topic /words: std_msgs/msg/String has no conversion to IMAGE (to_igtl[1])",
+        "/lidar/**": "topic /lidar/**: no publisher (to_igtl[2])",
+        "tol0": "frame tol0: not on /tf or /tf_static; did you mean 'tool0'? (tf_out[0])",
+        place: f"link {place}: no answer (connect)",
+    }
+
+
+def geometry(parent: str, child: str) -> Any:
+    from geometry_msgs.msg import TransformStamped
+
+    made = TransformStamped(child_frame_id=child)
+    made.header.frame_id = parent
+    return made
+
+
 def test_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["doctor"]) == 2
     assert "HOST:PORT" in capsys.readouterr().err

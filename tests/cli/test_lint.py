@@ -51,3 +51,12 @@ def test_a_damaged_recording_is_judged_as_far_as_it_can_be_read(
 def test_what_is_no_recording_is_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["lint", str(tmp_path / "absent.mcap")]) == 2
     assert "absent.mcap" in capsys.readouterr().err
+
+
+def test_a_recording_without_a_configured_stream(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "bridge.toml"
+    path.write_text('[[to_igtl]]\ntopic = "/igtl/out/Robot/strng"\n[[to_ros]]\ndevice = "Planer"\n', "utf-8")
+    assert main(["doctor", str(FIXTURES / "acquisition.mcap"), "--config", str(path), "--json"]) == 0
+    found = [one for one in json.loads(capsys.readouterr().out)["findings"] if one["id"] == "IGTL-W607"]
+    assert [one["where"] for one in found] == ["/igtl/out/Robot/strng", "Planer"]
+    assert "/igtl/out/Robot/string" in found[0]["text"] and "Planner" in found[1]["text"]
