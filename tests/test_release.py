@@ -217,7 +217,8 @@ def test_wheels_of_another_machine_are_part_of_the_release(tmp_path: Path, monke
         "tools.sbom.write_sbom", lambda out, files, epoch: Path(shutil.copyfile(files[0], out / "sbom"))
     )
     release(tmp_path / "dist", "HEAD", (), [other.parent])
-    sums = dict(reversed(line.split("  ")) for line in (tmp_path / "dist" / SUMS).read_text("utf-8").splitlines())
+    lines = [line.split("  ") for line in (tmp_path / "dist" / SUMS).read_text("utf-8").splitlines()]
+    sums = {name: digest for digest, name in lines}
     assert sums == {name: sha256(tmp_path / "dist" / name) for name in ("own.whl", other.name, "sbom")}
     release(tmp_path / "compiled", "HEAD", (), compiled_only=True)
     assert [path.name for path in (tmp_path / "compiled").iterdir()] == ["own.whl"]
