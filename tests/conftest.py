@@ -192,7 +192,7 @@ LONG = (
     "replay/test_slice_columns.py::test_a_slice_of_a_fixture",
     *(f"test_gateway_fuzz.py::test_{name}" for name in ("igtl_in", "ros_in", "the_gateway_stands")),
     *(f"test_release.py::test_the_{name}" for name in ("sums", "wheels", "sdist", "sbom")),
-    *(f"test_site.py::test_{name}" for name in ("every_link", "no_markup", "the_search")),
+    *(f"test_site.py::test_{name}" for name in ("every_link", "no_markup", "the_search", "the_words")),
     "test_try_extras.py::test_the_oldest_and_the_newest_python",
     "test_try_install.py::test_an_upgrade",
     "test_try_install.py::test_each_installer",

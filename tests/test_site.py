@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from html.parser import HTMLParser
@@ -17,6 +18,7 @@ import pytest
 from ruamel.yaml import YAML
 
 import igtl_gateway
+from igtl_gateway.base.versions import tomllib
 from tools import site
 
 CONFIGURATION = (site.ROOT / "mkdocs.yml").read_text("utf-8")
@@ -152,6 +154,109 @@ def levels(entries: list[Any]) -> Iterator[int]:
 def test_no_level_of_the_navigation_has_more_than_eight_entries() -> None:
     text = "nav:\n" + CONFIGURATION.partition("\nnav:\n")[2]
     assert max(levels(YAML(typ="safe", pure=True).load(text)["nav"])) <= 8
+
+
+#: What users type → the page that they look for.
+QUERIES = {
+    "nrrd": "how-to/slicer",
+    "import nifti": "reference/formats",
+    "latency between streams": "how-to/sync",
+    "delay of the camera": "how-to/sync",
+    "frame": "how-to/ros-robot",
+    "coordinate system": "how-to/python",
+    "disk full": "how-to/keeping",
+    "delete old": "how-to/keeping",
+    "upload s3": "how-to/keeping",
+    "anonymize": "how-to/deidentify",
+    "patient name": "how-to/deidentify",
+    "docker": "how-to/deploy",
+    "jetson": "how-to/deploy",
+    "systemd": "how-to/deploy",
+    "plot": "how-to/view",
+    "urdf": "how-to/view",
+    "web page": "how-to/page",
+    "tablet": "how-to/page",
+    "rosbag": "reference/formats",
+    "csv": "reference/formats",
+    "wireshark": "reference/formats",
+    "numpy": "how-to/python",
+    "pandas": "how-to/python",
+    "unit test": "how-to/offline-test",
+    "without hardware": "how-to/testing",
+    "packet loss": "how-to/faults",
+    "ultrasound": "how-to/plus",
+    "polaris": "how-to/plus",
+    "slicer": "how-to/slicer",
+    "nothing arrives": "how-to/slicer",
+    "connection refused": "how-to/slicer",
+    "robot arm": "how-to/ros-robot",
+    "da vinci": "how-to/dvrk",
+    "lifecycle": "how-to/lifecycle",
+    "prometheus": "how-to/metrics",
+    "firewall": "how-to/security",
+    "certificate": "how-to/security",
+    "stale": "how-to/guard",
+    "lost messages": "how-to/guard",
+    "clock drift": "how-to/guard",
+    "bookmark": "how-to/marks",
+    "combine recordings": "how-to/merge",
+    "training data": "how-to/lerobot",
+    "launch file": "how-to/ros-package",
+    "regression test": "how-to/resim",
+    "tamper": "how-to/seal",
+    "repair": "reference/command-line",
+    "quick start": "start/tutorial",
+    "uninstall": "start/install",
+    "foxglove": "start/coming-from",
+    "millimetres": "reference/conversions",
+}
+
+
+@pytest.fixture(scope="module")
+def search(html: Path) -> Callable[[Sequence[str]], list[list[str]]]:
+    """Function: the pages that the search of the site finds for each query, in its order."""
+    if not shutil.which("node"):
+        pytest.skip("no node here, which runs the search as a browser does")
+
+    def pages(queries: Sequence[str]) -> list[list[str]]:
+        run = ["node", str(Path(__file__).with_name("site_search.js")), str(html)]
+        done = subprocess.run(run, input="\n".join(queries), capture_output=True, text=True, check=True, timeout=120)
+        places = [json.loads(line) for line in done.stdout.splitlines()]
+        return [list(dict.fromkeys(place.partition(".html")[0] for place in found)) for found in places]
+
+    return pages
+
+
+def test_the_words_of_users_find_their_page_among_the_first_three(
+    search: Callable[[Sequence[str]], list[list[str]]],
+) -> None:
+    assert len(QUERIES) >= 40
+    found = dict(zip(QUERIES, search(list(QUERIES)), strict=True))
+    assert {query: found[query][:3] for query, page in QUERIES.items() if page not in found[query][:3]} == {}
+    first = sum(found[query][0] == page for query, page in QUERIES.items())
+    assert first >= 0.8 * len(QUERIES)
+
+
+def test_the_search_has_what_the_navigation_has(html: Path) -> None:
+    shown = site.navigation(CONFIGURATION)
+    items = json.loads((html / "search.json").read_text("utf-8"))["items"]
+    assert {item["location"].partition("#")[0].replace(".html", ".md") for item in items} == shown
+
+
+def test_words_are_of_a_page_that_exists() -> None:
+    item = {"location": "how-to/a.html", "title": "A", "text": "t", "path": ["How-to", "A"], "level": 1}
+    other = {**item, "location": "adr/b.html"}
+    index = site.index_words({"items": [item, other]}, {"how-to/a.md": ["B, c"]}, {"how-to/a.md"})
+    assert index["items"] == [{**item, "title": "B, c", "text": ""}, item]
+    with pytest.raises(site.SiteError, match=r"found how-to/b.md#c, expected a page or a heading of the site"):
+        site.index_words({"items": [item]}, {"how-to/b.md#c": ["B"]}, {"how-to/a.md"})
+
+
+def test_each_page_of_words_is_in_the_navigation_and_no_words_come_twice() -> None:
+    words = tomllib.loads(site.WORDS.read_text("utf-8"))
+    assert {place.partition("#")[0] for place in words} <= site.navigation(CONFIGURATION)
+    titles = [title for each in words.values() for title in each]
+    assert len(titles) == len(set(titles))
 
 
 #: Types a word into the search, letter by letter, and leaves what the field and the results then have in the title.

@@ -7,6 +7,9 @@ Strategy: the documents in docs/ are written for a reader of the repository, so 
 A site needs each target as a page.  ``stage`` copies the documents, adds every file of the repository that a document
 links to, converts the notebooks, and rewrites the links.  The builder (Zensical, by mkdocs.yml) then sees only plain
 Markdown, and MkDocs with its theme Material can build the same folder.  Links that lead nowhere end the build.
+
+The search of the theme ranks by titles.  So ``index_words`` adds the words of users as titles
+(``site_words.toml``), and leaves out the pages that the navigation does not have.
 """
 
 from __future__ import annotations
@@ -23,6 +26,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from igtl_gateway.base.versions import tomllib
+
 ROOT = Path(__file__).resolve().parents[1]
 OUT = ROOT / "out" / "site"
 #: Documents outside of docs/ that the navigation has.
@@ -36,6 +43,8 @@ PROJECT = (
     "fixtures/README.md",
     "lab/README.md",
 )
+#: The words by which users look for pages.
+WORDS = ROOT / "tools" / "site_words.toml"
 #: Suffix → language of the code block; other files are plain text.
 LANGUAGES = {".py": "python", ".toml": "toml", ".xml": "xml", ".yaml": "yaml", ".yml": "yaml", ".cfg": "ini"}
 
@@ -234,6 +243,43 @@ def stage(folder: Path, root: Path = ROOT) -> list[str]:
     return sorted([*done.values(), API])
 
 
+def navigation(configuration: str) -> set[str]:
+    """The pages of the navigation of ``mkdocs.yml``."""
+    return set(re.findall(r"\S+\.md$", configuration.partition("\nnav:\n")[2], re.MULTILINE))
+
+
+def index_words(index: dict[str, Any], words: dict[str, list[str]], shown: set[str]) -> dict[str, Any]:
+    """The index of the search with the words of users in front, for the pages that are shown.
+
+    The search puts what stands in a title first, then the shorter distance and the earlier place, then the earlier
+    entry.  An entry for a heading needs the heading.  The properties of the API have their class before them.
+
+    Args:
+        index: ``search.json`` of the site.
+        words: page, perhaps with a heading → words of users.
+        shown: pages of the navigation.
+
+    Raises SiteError for words of a page or a heading that does not exist.
+    """
+    items = [item for item in index["items"] if _page_of_item(item) in shown]
+    for item in items:
+        place = item["location"].partition("#igtl_gateway.")[2].split(".")
+        if len(place) > 1 and place[-2][:1].isupper():
+            item["title"] = f"{place[-2]}.{item['title']}"
+    found = {item["location"]: item for item in reversed(items)}
+    entries = []
+    for place, titles in words.items():
+        location = place.replace(".md", ".html", 1)
+        if location not in found:
+            raise SiteError(f"tools/site_words.toml: found {place}, expected a page or a heading of the site")
+        entries += [{**found[location], "title": title, "text": ""} for title in titles]
+    return {**index, "items": [*entries, *items]}
+
+
+def _page_of_item(item: dict[str, Any]) -> str:
+    return str(item["location"]).partition("#")[0].replace(".html", ".md")
+
+
 def build(out: Path = OUT) -> Path:
     """Stage and build; the folder of the HTML.  Raises SiteError with the output of the builder."""
     shutil.rmtree(out, ignore_errors=True)
@@ -251,7 +297,16 @@ def build(out: Path = OUT) -> Path:
     )
     if built.returncode:
         raise SiteError(built.stdout + built.stderr)
-    return out / "html"
+    html = out / "html"
+    index = index_words(
+        json.loads((html / "search.json").read_text("utf-8")),
+        tomllib.loads(WORDS.read_text("utf-8")),
+        navigation((ROOT / "mkdocs.yml").read_text("utf-8")),
+    )
+    text = json.dumps(index, ensure_ascii=False, separators=(",", ":"))
+    (html / "search.json").write_text(text, "utf-8")
+    (html / "search.js").write_text(f"var __index = {text}", "utf-8")  # of pages that are opened as files
+    return html
 
 
 def main(arguments: Sequence[str]) -> int:
