@@ -55,7 +55,7 @@ def export_mcap(recording: Recording, out: Path, globs: Sequence[str], outputs: 
 
 
 def _count(account: ExportAccount, entry: Entry, large: LargeOutputs, writer: SessionWriter) -> None:
-    """Write a message and count what became of it."""
+    """Write a message, and count it."""
     row, before = account.row(entry), large.left_out[entry.channel]
     writer.write(entry)
     if large.left_out[entry.channel] > before:

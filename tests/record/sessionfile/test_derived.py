@@ -13,8 +13,10 @@ import numpy.typing as npt
 import pytest
 from mcap.reader import make_reader
 
+from igtl_gateway.app.sealing import verify_seal
 from igtl_gateway.app.verification import verify_session
 from igtl_gateway.base.buffers import join
+from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.base.errors import GatewayError, UnsupportedRecording
 from igtl_gateway.base.untrusted.limits import FileLimits, limits_in_force
 from igtl_gateway.base.version import __version__
@@ -22,7 +24,14 @@ from igtl_gateway.config.configuration import Config, ToRosRow
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.common_msgs import MultiArrayLayout
 from igtl_gateway.convert.multi_arrays import MULTI_ARRAYS
+from igtl_gateway.gateway import LINKS_TOPIC
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.host import in_thread
+from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.reports import RecordingSummary
+from igtl_gateway.record.seal.keys import SigningKey
+from igtl_gateway.record.selection import StateInputRule
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.columns import EntryColumns
 from igtl_gateway.record.sessionfile.large_outputs import (
@@ -38,6 +47,7 @@ from igtl_gateway.record.sessionfile.recovery import Recovery, copy_readable, re
 from igtl_gateway.record.sessionfile.salvage import Salvage
 from igtl_gateway.record.sessionfile.salvage_report import SalvageReport
 from igtl_gateway.record.sessionfile.writer import SessionWriter
+from igtl_gateway.record.shared_queue import QueueReader
 from igtl_gateway.replay.content_figures import summary_of
 from igtl_gateway.testing.gateway import ManualGateway
 from igtl_gateway.wire import Message, encode
@@ -406,3 +416,83 @@ def test_a_damaged_file_shows_the_streams_and_sizes_of_its_outputs(log: list[Ent
     ]
     unread = {each.seq for each in found if isinstance(each, DigestedOutput)}
     assert unread and unread <= {each.seq for each in large(log, outputs=True)}
+
+
+# -- recorded ------------------------------------------------------------------------------------------------------
+
+
+def recorded(path: Path, entries: Sequence[Entry], **options: Any) -> RecordingSummary:
+    facts = {"igtl_gateway_version": __version__, "config": json.dumps(CONFIG.to_dict(), sort_keys=True)}
+    recorder = Recorder(
+        path,
+        facts,
+        qos_of=lambda _topic, _type: None,
+        on_note=lambda _note: None,
+        clock=ManualClock(),
+        host=in_thread,
+        options=RecordOptions(outputs="digest", **options),
+        rule=StateInputRule(frozenset({LINKS_TOPIC}), frozenset({"CAPABILITY", "CLIENTINFO"})),
+    )
+    for entry in entries:
+        recorder(entry)
+    return recorder.close({"streams": {}})
+
+
+def test_each_part_of_a_split_recording_has_what_its_outputs_follow_from(log: list[Entry], tmp_path: Path) -> None:
+    recorded(tmp_path / "long.mcap", log, split_bytes=1 << 20, compression="none")
+    folder = tmp_path / "long"
+    with SessionFile.open(folder) as whole:
+        assert len(whole.parts) > 2 and whole.has_digests
+        assert plain(whole.entries()) == plain(log)
+        assert verify_session(whole).good
+        paths = [part.path for part in whole.parts]
+    every = {each[0]: each for each in plain(log)}
+    for path in paths:
+        alone = tmp_path / f"alone-{path.name}"
+        alone.write_bytes(path.read_bytes())
+        with SessionFile.open(alone) as part:
+            assert all(each == every[each[0]] for each in plain(part.entries()))  # type: ignore[index]
+            assert part.has_digests
+
+
+def test_a_sealed_recording_has_digests_under_its_seal(log: list[Entry], tmp_path: Path) -> None:
+    pytest.importorskip("cryptography")
+    pytest.importorskip("blake3")
+    key = tmp_path / "key"
+    key.touch(0o600)
+    key.write_bytes(SigningKey.generate().private_pem())
+    recorded(tmp_path / "sealed.mcap", log, seal=key)
+    with SessionFile.open(tmp_path / "sealed.mcap") as file:
+        assert file.is_sealed and file.has_digests
+        assert plain(file.entries()) == plain(log)
+        assert verify_session(file).good
+    assert verify_seal(tmp_path / "sealed.mcap").good
+
+
+@table("name, value", [("refused", 1), ("lost", {"IMAGE/Probe": 1})])
+def test_after_the_queue_has_lost_an_entry_outputs_are_written_in_full(
+    log: list[Entry], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, value: object
+) -> None:
+    initialised = QueueReader.__init__
+
+    def init(self: QueueReader, *arguments: Any) -> None:
+        initialised(self, *arguments)
+        if name == "lost":
+            self.lost.update(value)  # type: ignore[call-overload]
+
+    monkeypatch.setattr(QueueReader, "__init__", init)
+    if name == "refused":
+        monkeypatch.setattr(QueueReader, "refused", value)
+    recorded(tmp_path / "lossy.mcap", log)
+    with SessionFile.open(tmp_path / "lossy.mcap") as file:
+        assert plain(file.entries()) == plain(log) and not file.has_digests
+
+
+def test_an_output_whose_input_was_left_out_is_written_in_full(log: list[Entry], tmp_path: Path) -> None:
+    kept = [entry for entry in log if not is_picture(Kind.ROS_IN)(entry)]
+    written(tmp_path / "less.mcap", kept, "digest")
+    with SessionFile.open(tmp_path / "less.mcap") as file:
+        assert plain(file.entries()) == plain(kept)
+    written(tmp_path / "none.mcap", kept, "none")
+    with SessionFile.open(tmp_path / "none.mcap") as file:
+        assert [each for each in plain(file.entries()) if each[3] == "IMAGE/Picture_camera"]
