@@ -451,7 +451,7 @@ def test_each_part_of_a_split_recording_has_what_its_outputs_follow_from(log: li
         alone = tmp_path / f"alone-{path.name}"
         alone.write_bytes(path.read_bytes())
         with SessionFile.open(alone) as part:
-            assert all(each == every[each[0]] for each in plain(part.entries()))  # type: ignore[index]
+            assert all(each == every[each[0]] for each in plain(part.entries()))
             assert part.has_digests
 
 
