@@ -28,6 +28,7 @@ from igtl_gateway.addon.streams import (
     one_clock,
     pick,
 )
+from igtl_gateway.addons.review.pose_rows import PoseRows
 
 Array = npt.NDArray[Any]
 
@@ -125,6 +126,33 @@ class FramePoses:
         edge.arrivals.append(arrival_ns)
         edge.poses.extend(pose)
         self._sorted.pop(child, None)
+
+    def add_rows(self, found: Sequence[PoseRows]) -> None:
+        """Add valid samples of many messages, as `add` does each of them in their order."""
+        by_child: dict[str, list[PoseRows]] = {}
+        for each in sorted(found, key=lambda each: int(each.order[0])):
+            by_child.setdefault(each.child, []).append(each)
+        for child, groups in by_child.items():
+            which = np.repeat(np.arange(len(groups)), [len(each.order) for each in groups])
+            order = np.argsort(np.concatenate([each.order for each in groups]), kind="stable")
+            poses, stamps, arrivals = (
+                np.concatenate([getattr(each, name) for each in groups])[order]
+                for name in ("poses", "stamps", "arrivals")
+            )
+            which = which[order]
+            names = [each.parent for each in groups]
+            numbers = np.array([names.index(name) for name in names])[which]
+            # another parent begins the frame again
+            parts = np.split(np.arange(len(which)), np.flatnonzero(np.diff(numbers)) + 1)
+            for part in parts:
+                first = groups[int(which[part][0])]
+                edge = self._edges.get(child)
+                if edge is None or edge.parent != first.parent:
+                    edge = self._edges[child] = _FrameSamples(first.parent, child, first.source)
+                edge.stamps.frombytes(np.maximum(stamps[part], 0).tobytes())
+                edge.arrivals.frombytes(arrivals[part].tobytes())
+                edge.poses.frombytes(np.ascontiguousarray(poses[part]).tobytes())
+            self._sorted.pop(child, None)
 
     def moving(self) -> dict[str, str]:
         """Return frame → first topic of the frames that move in their parent, in order of appearance."""

@@ -19,13 +19,14 @@ import numpy.typing as npt
 
 from igtl_gateway.addon import NS_PER_S, ConfigError, ConversionError, GatewayError, did_you_mean, near_streams
 from igtl_gateway.addon.messages import frame_id
-from igtl_gateway.addon.reading import Entry, EntryStream, Kind
+from igtl_gateway.addon.reading import Entry, EntryStream, Head, Heads, Kind, Rows
 from igtl_gateway.addon.ros import PointCloud2
 from igtl_gateway.addon.streams import StreamTimes
 from igtl_gateway.addons.review.addon import NO_CLOUD, NO_PLAN
 from igtl_gateway.addons.review.choices import CLOUDS
 from igtl_gateway.addons.review.frames import FramePoses
 from igtl_gateway.addons.review.messages import PLANS, POSES, DrawnPlan, cloud_of, is_large_cloud, plan_of, poses_of
+from igtl_gateway.addons.review.pose_rows import PoseRows, pose_rows
 from igtl_gateway.addons.review.scene import DepthCloud, DepthScene
 
 Array = npt.NDArray[Any]
@@ -98,7 +99,7 @@ class Material:
         self._others: dict[str, set[str]] = {"cloud": set(), "plan": set()}  # topics that were not selected
 
     @staticmethod
-    def reads(stream: EntryStream) -> bool:
+    def reads(stream: EntryStream | Head) -> bool:
         """Whether entries of a stream are more than nothing to ``take``."""
         return stream.kind in _ROS and stream.type in {*POSES, *PLANS, PointCloud2.TYPE}
 
@@ -114,6 +115,22 @@ class Material:
             if entry.channel not in self._bad:
                 self._bad.add(entry.channel)
                 self.notes.append(f"{entry.channel}: invalid messages are left out: {error}")
+
+    def take_rows(self, rows: Rows, heads: Heads) -> None:
+        """Read entries, as ``take`` does each of them; poses many at once."""
+        wanted = np.array([self.reads(head) for head in heads.known], np.bool_)[rows.heads]
+        are_poses = np.array([head.type in POSES for head in heads.known], np.bool_)[rows.heads] & wanted
+        found = pose_rows(rows.where(are_poses), heads) if are_poses.any() else None
+        if found is not None:
+            wanted &= ~are_poses
+            self.frames.add_rows([self._in_metres(each) for each in found])
+        for entry in rows.where(wanted).entries(heads):  # others, such as pictures, become no objects
+            self.take(entry)
+
+    def _in_metres(self, found: PoseRows) -> PoseRows:
+        poses = found.poses.copy()
+        poses[:, :3] *= self._unit_m
+        return replace(found, poses=poses, arrivals=np.minimum(found.arrivals, _LAST_NS))
 
     def _read(self, entry: Entry) -> None:
         if entry.type in POSES:

@@ -9,7 +9,16 @@ from pathlib import Path
 
 from igtl_gateway.addon import ConfigError, GatewayError
 from igtl_gateway.addon.messages import scale
-from igtl_gateway.addon.reading import Mark, RecordedStamps, SessionFile, config_to_run, marks_of, with_state
+from igtl_gateway.addon.reading import (
+    Heads,
+    Mark,
+    RecordedStamps,
+    SessionFile,
+    config_to_run,
+    marks_of,
+    rows_of,
+    with_state,
+)
 from igtl_gateway.addons.review import Material, Review, StitchReview, Thresholds, review_of
 from igtl_gateway.addons.review.choices import ReviewSelection
 
@@ -27,9 +36,13 @@ def review_session(file: SessionFile, selection: ReviewSelection, thresholds: Th
     """Return the review of an open recording; see `review_recording`."""
     unit_m = scale(config_to_run(file.session).ros_unit, "m")
     material = Material(selection.plan, selection.cloud, selection.tool, selection.clouds, unit_m)
-    stamps = RecordedStamps(file)
-    for entry in with_state(file).entries():
-        material.take(stamps.entry(entry))
+    stamps, heads = RecordedStamps(file), Heads()
+    for rows in rows_of(with_state(file), heads):
+        if stamps:
+            for entry in rows.entries(heads):
+                material.take(stamps.entry(entry))
+        else:
+            material.take_rows(rows, heads)
     try:
         return named_by_marks(review_of(material, thresholds), marks_of(file))
     except ConfigError:
