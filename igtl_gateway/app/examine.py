@@ -1,8 +1,9 @@
 """The examination of a live peer for ``doctor``: connect or listen, observe, and try the other TCP role without a peer.
 
 Received messages pass through hub, session and gateway as in a bridge, so the rules observe the same entries as in a
-recording.  The only message sent is one STATUS, and only to a peer that has sent no message.  Every OpenIGTLink program
-accepts a STATUS, and its text ends with an empty line, so a web server answers, too.
+recording.  The only message sent is one STATUS, and only to a peer that has sent no message at first.  Every
+OpenIGTLink program accepts a STATUS, and its text ends with an empty line, so a web server answers, too.  A replay that
+waits for its peer recognises it, and goes on waiting.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from igtl_gateway.app.hub import Hub
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import ConfigError, Unavailable
 from igtl_gateway.base.qos import Qos
-from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.doctor.graph import Graph
 from igtl_gateway.doctor.observer import ExpectedLinks, Observer
@@ -30,8 +31,10 @@ from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire import Message, encode
 
-#: Share of the time after which a silent peer is sent a STATUS, or the other TCP role is tried if no peer is connected.
+#: Share of the time after which the other TCP role is tried if no peer is connected.
 PATIENCE = 0.5
+#: A peer that has sent nothing for this time is sent a STATUS: a replay waits for longer before it begins.
+_SILENT_NS, _LOOK_S = 150 * NS_PER_MS, 0.05
 
 #: Least time for the discovery of the ROS graph, in seconds; with less, the graph would seem empty.
 _GRAPH_S = 1.0
@@ -142,6 +145,8 @@ class _Examination:
         self._clock = clock
         self._stop = stop
         self._lock = threading.Lock()  # guards ``seen``
+        self._seen_ns: dict[int, int] = {}  # link → when it was first looked at
+        self._announced: set[int] = set()
         self._hub = Hub(Session(self.gateway), clock, [self._on_entry])
 
     def transforms(self, topic: str, cdr: bytes) -> None:
@@ -218,25 +223,27 @@ class _Examination:
         return True
 
     def _observe(self, edge: TcpEdge, seconds: float, *, needs_peer: bool = False) -> None:
-        """Wait until the time is over or ``stop`` is set; with ``needs_peer`` only half of it if no peer is connected.
-
-        At half of the time, silent peers are sent a STATUS.
-        """
+        """Wait until the time is over or ``stop`` is set; half of it if ``needs_peer`` and no peer is connected."""
         begun_ns = self._clock.monotonic_ns()
-        for part in (PATIENCE, 1.0):
-            left_s = (begun_ns - self._clock.monotonic_ns()) / NS_PER_S + seconds * part
-            if self._stop.wait(max(0.0, left_s)) or (needs_peer and not self.seen.peers):
+        while (left_s := seconds - (self._clock.monotonic_ns() - begun_ns) / NS_PER_S) > 0:
+            if self._stop.wait(min(_LOOK_S, left_s)):
                 return
-            if part < 1.0:
-                self._send_status(edge)
+            if needs_peer and left_s < seconds * (1 - PATIENCE) and not self.seen.peers:
+                return
+            self._announce(edge)
 
-    def _send_status(self, edge: TcpEdge) -> None:
-        """Send one STATUS to each peer that has sent no message."""
-        version = self._options.speak
+    def _announce(self, edge: TcpEdge) -> None:
+        """Send one STATUS to each peer that has sent no message for a while since it connected."""
+        version, now_ns = self._options.speak, self._clock.monotonic_ns()
         for link in edge.links():
+            if not version or not link.connected or link.number in self._announced:
+                continue
+            if now_ns - self._seen_ns.setdefault(link.number, now_ns) < _SILENT_NS:
+                continue
+            self._announced.add(link.number)
             with self._lock:
-                silent = link.connected and not self.seen.peer(link.number).messages
-            if version and silent:
+                silent = not self.seen.peer(link.number).messages
+            if silent:
                 data = b"".join(bytes(part) for part in encode(Message("STATUS", PROBE_DEVICE, PROBE, 0, version)))
                 edge.send((link.number,), (data,), _STREAM, True)
                 self._on_entry(

@@ -22,6 +22,7 @@ from igtl_gateway.convert.choices import AUTO
 from igtl_gateway.convert.profiles import DEFAULT, UNRECOGNISED, PeerProfile
 from igtl_gateway.convert.substitutes import Shown
 from igtl_gateway.gateway.acceptance import DEFAULT_ACCEPTANCE, Acceptance
+from igtl_gateway.gateway.dialogue.probing import is_probe
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.gateway.metadata import FULL_NAME, restore_metadata
@@ -61,6 +62,7 @@ class Listeners:
     Attributes:
         left_out: (address, profile, type) → number of messages that a listener did not get.
         adapted: (address, profile, type) → number of messages that it got in another form.
+        probes: links of `doctor`, for which no replay begins.
     """
 
     profile: str = AUTO
@@ -69,6 +71,7 @@ class Listeners:
     acceptance: Acceptance = DEFAULT_ACCEPTANCE
     left_out: Counter[tuple[str, str, str]] = field(default_factory=Counter)
     adapted: Counter[tuple[str, str, str]] = field(default_factory=Counter)
+    probes: set[int] = field(default_factory=set)
     _heard: set[int] = field(default_factory=set)
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _peers: Peers = field(init=False)
@@ -90,18 +93,25 @@ class Listeners:
             else:
                 self._peers.down(link)
 
-    def on_frame(self, link: int, data: Buffer) -> None:
-        """A listener sent a message, which may show what it is."""
+    def on_frame(self, link: int, data: Buffer) -> bool:
+        """A listener sent a message, which may show what it is; return whether it is the probe of `doctor`."""
         with self._lock:
             self._heard.add(link)
             peer = self._peers.get(link)
-            if peer is None or self.exact:
-                return
-            self._unchanged.clear()
+            if peer is None:
+                return False
             try:
-                peer.learn_from(decode(data, check_crc=False))
+                message = decode(data, check_crc=False)
             except WireError:
-                return
+                self._unchanged.clear()
+                return False
+            if is_probe(message):
+                self.probes.add(link)
+                return True
+            if not self.exact:
+                self._unchanged.clear()
+                peer.learn_from(message)
+            return False
 
     def present(self) -> dict[int, tuple[str, str]]:
         """Return link → address and profile of each listener."""
@@ -111,8 +121,11 @@ class Listeners:
     @property
     def awaits_hello(self) -> bool:
         """Whether a listener that has sent nothing yet may be about to show what it is."""
-        if self.exact or self.profile != AUTO:
-            return False
+        return not self.exact and self.profile == AUTO and self.has_silent
+
+    @property
+    def has_silent(self) -> bool:
+        """Whether a listener has sent nothing yet."""
         with self._lock:
             return any(peer.link not in self._heard for peer in self._peers.all())
 

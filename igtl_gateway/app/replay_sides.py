@@ -21,23 +21,28 @@ from igtl_gateway.app.replay_plan import (
     igtl_sender_of_many,
     ros_sender,
 )
+from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.clock import SystemClock
-from igtl_gateway.base.stamp import NS_PER_MS
+from igtl_gateway.base.stamp import NS_PER_MS, ns_to_ticks
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.tcp import LinkCounters, TcpEdge
+from igtl_gateway.gateway.dialogue.probing import REPLAY_REPLY, REPLY_DEVICE
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.recorded_config import recorded_acceptance
 from igtl_gateway.replay.simclock import CLOCK_TOPIC, CLOCK_TYPE
 from igtl_gateway.replay.source import matches_any
+from igtl_gateway.wire import Message, encode
 
 _FLUSH_S = 30.0
 _LOOK_S = 0.2
 #: Longest wait for the first message of peers, which may show what they are; 3D Slicer sends one at once.
 _HELLO_NS, _HELLO_LOOK_S = 500 * NS_PER_MS, 0.01
+#: `doctor` announces itself within this time.
+_LEAST_NS = 300 * NS_PER_MS
 
 OnLine = Callable[[str], None]
 
@@ -121,8 +126,16 @@ def _open_igtl(
     listeners = Listeners(options.profile, options.exact, relay, recorded_acceptance(file))
     peers = _Peers(tell, listeners)
     clock = SystemClock()
+
+    def on_frame(link: int, data: Buffer) -> None:
+        """Take a message of a listener, which is no part of the replay, but shows what the peer is."""
+        if listeners.on_frame(link, data) and not peers.begun:
+            tell("= igtl-gateway doctor looks at this replay: it does not count as a peer")
+            reply = Message("STATUS", REPLY_DEVICE, REPLAY_REPLY, ns_to_ticks(clock.utc_ns()))
+            edge.send((link,), encode(reply), f"STATUS/{REPLY_DEVICE}", True)
+
     edge = TcpEdge(
-        on_frame=listeners.on_frame,  # no part of the replay, but they show what the peer is
+        on_frame=on_frame,
         on_link=peers,
         on_note=lambda _link, note: tell(f"! {note.text}"),
         clock=clock,
@@ -140,12 +153,9 @@ def _open_igtl(
     wanted = 1 if options.wait_peers is None else options.wait_peers
     if wanted:
         tell(f"waiting for {wanted:,} peer{'s' * (wanted != 1)}")
-    while not edge.wait_links(wanted, _LOOK_S):
-        if stop.is_set():
-            return None
-    until_ns = clock.monotonic_ns() + _HELLO_NS
-    while wanted and listeners.awaits_hello and clock.monotonic_ns() < until_ns and not stop.wait(_HELLO_LOOK_S):
-        pass
+    if not _wait_for_peers(edge, listeners, wanted, clock, stop):
+        return None
+    peers.begun = True
     send = igtl_sender(edge, listeners, stop if options.lock_step else None)
     send_all = None if options.lock_step else igtl_sender_of_many(edge, listeners, stop)
     if options.fault:
@@ -168,6 +178,29 @@ def _open_igtl(
     )
 
 
+def _wait_for_peers(edge: TcpEdge, listeners: Listeners, wanted: int, clock: SystemClock, stop: Event) -> bool:
+    """Wait until this number of peers is there and may have shown what they are; False if ``stop`` came first.
+
+    One that goes at once, such as a scan of ports, and `doctor`, which announces itself, do not count.
+    """
+
+    def counted() -> int:
+        return sum(link not in listeners.probes for link in connected(edge))
+
+    while True:
+        while not edge.wait_links(wanted, _LOOK_S) or counted() < wanted:
+            if stop.wait(_HELLO_LOOK_S):
+                return False
+        if not wanted:
+            return True
+        begun_ns = clock.monotonic_ns()
+        while (waited_ns := clock.monotonic_ns() - begun_ns) < _HELLO_NS and not stop.wait(_HELLO_LOOK_S):
+            if not listeners.has_silent or (waited_ns >= _LEAST_NS and not listeners.awaits_hello):
+                break
+        if counted() >= wanted or stop.is_set():
+            return True
+
+
 @dataclass(slots=True)
 class _Peers:
     """Reports links, and counts how many are up at a time."""
@@ -175,6 +208,7 @@ class _Peers:
     tell: OnLine
     listeners: Listeners
     most: int = 0
+    begun: bool = False
     _up: set[int] = field(default_factory=set)
 
     def __call__(self, link: int, up: bool, note: Note) -> None:

@@ -178,9 +178,12 @@ def closed_at_once(observed: Observer) -> Iterator[RuleMatch]:
 def is_gateway(observed: Observer) -> Iterator[RuleMatch]:
     for peer in observed.peers.values():
         if peer.is_gateway:
-            yield RuleMatch(
-                peer.name, f"{peer.name} is a bridge of igtl-gateway, which has no message for this link now"
-            )
+            what = "a bridge of igtl-gateway, which has no message for this link now"
+            if peer.is_replay:
+                what = "a replay of igtl-gateway that waits for its peer: doctor does not count, and it goes on waiting"
+            elif peer.messages > 1:
+                what = "a bridge of igtl-gateway"
+            yield RuleMatch(peer.name, f"{peer.name} is {what}")
 
 
 def disconnects_at_version(observed: Observer) -> Iterator[RuleMatch]:

@@ -174,6 +174,7 @@ class ObservedPeer:
         head: first bytes from the peer that are not a complete message.
         head_code: code of the note that reported ``head``.
         is_gateway: whether the peer has replied to the probe of `doctor` as a gateway.
+        is_replay: whether it has replied as a replay that waits for its peers.
     """
 
     number: int
@@ -191,6 +192,7 @@ class ObservedPeer:
     head: bytes = b""
     head_code: str = ""
     is_gateway: bool = False
+    is_replay: bool = False
 
     @property
     def name(self) -> str:

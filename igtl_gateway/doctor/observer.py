@@ -20,7 +20,7 @@ from igtl_gateway.doctor.observations import NoteCount, ObservedPeer, ObservedSt
 from igtl_gateway.doctor.protocols import is_openigtlink
 from igtl_gateway.doctor.sources import TF_TOPICS, ObservedSources
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, metadata
-from igtl_gateway.gateway.dialogue.probing import PROBE_DEVICE, is_reply
+from igtl_gateway.gateway.dialogue.probing import PROBE_DEVICE, is_of_replay, is_reply
 from igtl_gateway.gateway.log.clocksteps import ClockStep, without_jump
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Note
@@ -197,6 +197,7 @@ class Observer:
             message = _decoded(stream, header, data)
             if message is not None:
                 peer.is_gateway |= is_reply(message)
+                peer.is_replay |= is_of_replay(message)
                 self._measure(stream, message)
 
     def _from_ros(self, entry: Entry) -> None:
