@@ -131,7 +131,7 @@ def _latched(file: SessionFile) -> set[str]:
 
 
 def _since(coming: Iterator[RecordedInput], since_ns: int, latched: set[str]) -> Iterator[RecordedInput]:
-    """Leave out what is before a time, but for the last message of each latched topic."""
+    """Leave out what is before a time, except the last message of each latched topic."""
     kept: dict[str, RecordedInput] = {}
     for message in coming:
         if message.time_ns >= since_ns:

@@ -11,6 +11,11 @@ Array = npt.NDArray[Any]
 
 #: Colours for devices without a colour, in turn: distinct, and unlike tissue.
 SERIES = (0x4FC3F7FF, 0xFFB74DFF, 0x81C784FF, 0xE57373FF, 0xBA68C8FF, 0xFFF176FF, 0x4DD0E1FF, 0xA1887FFF)
+#: Colours of lines in a plot, in turn: each two differ for the eye.
+_LINES = (
+    0x4FC3F7FF, 0xFFB74DFF, 0x66BB6AFF, 0xE57373FF, 0xBA68C8FF, 0xFFF176FF, 0x3F6CFFFF, 0xA1887FFF,
+    0xF8BBD0FF, 0x00897BFF, 0xC6FF00FF, 0xFF4081FF, 0x8D6E00FF, 0xFFFFFFFF, 0x78909CFF, 0xB388FFFF,
+)  # fmt: skip
 GREY, BONE = 0xC8C8C8FF, 0xDDD0C0FF  # points and surfaces without a colour
 INFO, WARN, ERROR = 0xB0BEC5FF, 0xFFB300FF, 0xFF5252FF
 
@@ -68,6 +73,13 @@ def marker_colour(colour: tuple[float, ...]) -> int:
     """Convert the colour 0 … 1 of a marker; grey if it is unset (all zero, or transparent)."""
     red, green, blue, alpha = (round(min(max(part, 0.0), 1.0) * 255) for part in colour)
     return red << 24 | green << 16 | blue << 8 | alpha if alpha else GREY
+
+
+def line_colour(number: int) -> int:
+    """Return the colour of a line of a plot, from 0: those after the 16th are darker, then darker again."""
+    word, turns = _LINES[number % len(_LINES)], number // len(_LINES) % 3
+    red, green, blue = ((word >> shift & 0xFF) * (10 - 3 * turns) // 10 for shift in (24, 16, 8))
+    return red << 24 | green << 16 | blue << 8 | 0xFF
 
 
 def octet_colour(rgba: tuple[int, int, int, int], unset: int) -> int:

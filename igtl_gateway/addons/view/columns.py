@@ -75,10 +75,21 @@ class Collected:
         self.parts.append((rows, np.full(len(rows), self.looks.setdefault(look, len(self.looks)), np.int32), table))
         self.count += len(rows)
 
-    def take(self) -> list[tuple[Rows, list[ColumnOf]]]:
-        """Return all rows, and forget them: chunks of rows that have the same time lines."""
+    def take(self, gaps: Callable[[Array], list[int]] | None = None) -> list[tuple[Rows, list[ColumnOf]]]:
+        """Return all rows, and forget them: chunks of rows that have the same time lines.
+
+        Args:
+            gaps: returns which of some gateway times, ascending, come after a gap: it gets a row without numbers.
+        """
         self._close()
         looks, rows, look, numbers = list(self.looks), *self._joined()
+        if gaps and rows.stamps.all():
+            order = np.argsort(rows.numbers, kind="stable")  # those of one form came first
+            if found := gaps(rows.stamps[order]):
+                order = np.insert(order, found, order[found])
+                numbers = numbers[order]
+                numbers[np.array(found) + np.arange(len(found))] = np.nan
+                rows, look = rows.where(order), look[order]
         self.count = 0
         self.looks.clear()
         self.parts.clear()

@@ -14,7 +14,7 @@ from igtl_gateway.addon import ConversionError
 from igtl_gateway.addon.igtl import NDARRAY_SCALARS
 from igtl_gateway.addon.ros import JointState, Joy, MultiArray, NdArray, Sensor, TwistStamped, WrenchStamped
 from igtl_gateway.addons.view.canvas import Canvas
-from igtl_gateway.addons.view.colours import SERIES
+from igtl_gateway.addons.view.colours import line_colour
 from igtl_gateway.addons.view.contents import EntityKind
 from igtl_gateway.addons.view.other_msgs import Float64
 
@@ -133,9 +133,10 @@ def _curves(canvas: Canvas, values: Sequence[Any], names: Sequence[str] = (), ch
         return
     if canvas.memory.setdefault(f"curves {child}", len(values)) != len(values):
         child = f"{child}/{len(values)}" if child else str(len(values))
-    if names and canvas.memory.get(f"names {child}") != names:
+    names = names or [str(number) for number in range(1, len(values) + 1)]
+    if len(values) > 1 and canvas.memory.get(f"names {child}") != names:
         canvas.memory[f"names {child}"] = names
-        shades = [SERIES[place % len(SERIES)] for place in range(len(names))]
+        shades = [line_colour(place) for place in range(len(names))]
         canvas.static(
             rr.SeriesLines(names=[canvas.pen.displayable(name) for name in names], colors=np.array(shades, np.uint32)),
             child,

@@ -20,6 +20,7 @@ from igtl_gateway.addon.reading import Entry
 from igtl_gateway.addons.view.colours import INFO
 from igtl_gateway.addons.view.columns import LINES, NUMBERS, POSES, SIZES, Collected, RowKind, Rows, times_of
 from igtl_gateway.addons.view.contents import PLACES
+from igtl_gateway.addons.view.rhythm import Rhythm
 
 #: The time lines: gateway time, the source stamp (if the sender set one), and the entry number.
 GATEWAY_TIME, SENDER_TIME, ENTRY = "gateway_time", "sender_time", "entry"
@@ -88,6 +89,7 @@ class Pen:
         self._paths: set[str] = set()
         self._numbers: dict[str, int] = {}  # path → the number that was not tried yet
         self._placed: set[str] = set()
+        self._rhythms: dict[tuple[str, str], Rhythm] = {}
 
     def unique_path(self, path: str) -> str:
         """Return ``path`` for a new entity, or ``<path>_2`` and so on if it is taken.
@@ -170,9 +172,22 @@ class Pen:
         axes = rr.TransformAxes3D(pose.axis_m, show_frame=pose.labelled)
         self.static(path, rr.CoordinateFrame(pose.child), axes, _transform(pose))
 
-    def numbers(self, path: str, values: Sequence[Any]) -> None:
-        """Add one value to each of several series, NaN for none."""
-        self._wait((path, f"numbers {len(values)}"), NUMBERS, (), values)
+    def numbers(self, path: str, values: Sequence[Any], *, is_dense: bool = False) -> None:
+        """Add one value to each of several series, NaN for none; a line breaks at a gap.
+
+        Args:
+            path: the entity.
+            values: a number for each series; columns for many rows.
+            is_dense: there are no gaps: each value stands for the time until the next one.
+        """
+        key = (path, f"numbers {len(values)}")
+        if not is_dense and key not in self._rhythms:
+            self._rhythms[key] = Rhythm()
+        self._wait(key, NUMBERS, (), values)
+
+    def curve(self, path: str, name: str, colour: int) -> None:
+        """Set the name and the colour of a series in the legend of its plot."""
+        self.static(path, rr.SeriesLines(names=[self.displayable(name)], colors=[colour]))
 
     def sizes(self, path: str, size: int) -> None:
         """Add a row with the size of a message in bytes for the selection panel, without a drawing."""
@@ -209,9 +224,9 @@ class Pen:
 
     def flush(self) -> None:
         """Send the collected rows."""
-        for (path, _), collected in self._waiting.items():
+        for key, collected in self._waiting.items():
             if collected.count:
-                self._send(path, collected)
+                self._send(key, collected)
 
     def _set_time(self) -> None:
         times = (self.number, self.stamp_ns, self.source_ns)
@@ -235,7 +250,7 @@ class Pen:
             table = self._tabled(numbers, kind.dtype, len(self.rows)) if kind.dtype else numbers
             collected.add_rows(self.rows, look, table)
         if collected.count >= kind.most:
-            self._send(key[0], collected)
+            self._send(key, collected)
 
     def _tabled(self, numbers: Sequence[Any], dtype: str, count: int) -> Array:
         """Columns, or numbers that are the same in all rows, as a table (rows, numbers)."""
@@ -247,8 +262,9 @@ class Pen:
             self._table = numbers, dtype, table
         return table
 
-    def _send(self, path: str, collected: Collected) -> None:
-        for rows, columns in collected.take():
+    def _send(self, key: tuple[str, str], collected: Collected) -> None:
+        path, rhythm = key[0], self._rhythms.get(key)
+        for rows, columns in collected.take(rhythm.gaps if rhythm else None):
             times = [times_of(ENTRY, rows.numbers, is_number=True)]
             lines = ((GATEWAY_TIME, rows.stamps), (SENDER_TIME, rows.sources))
             times += [times_of(line, stamps) for line, stamps in lines if stamps[0]]

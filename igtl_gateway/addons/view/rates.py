@@ -12,6 +12,7 @@ import numpy.typing as npt
 from igtl_gateway.addon import NS_PER_S
 from igtl_gateway.addon.reading import Entry, Kind
 from igtl_gateway.addon.streams import StreamTimes, one_clock
+from igtl_gateway.addons.view.colours import line_colour
 from igtl_gateway.addons.view.columns import Rows
 from igtl_gateway.addons.view.contents import LATENCIES, RATES, path_of
 from igtl_gateway.addons.view.pen import LAST_NS, SENDER_TIME, Pen
@@ -24,6 +25,8 @@ _GAP_FACTOR, _RHYTHM = 10, 20
 _NS_PER_MS = 1e6
 #: Maximum number of streams with plots of rate and latency, in case a peer invents names.
 _MAX_PLOTS = 300
+#: Letters of a name in a legend.
+_LEGEND = 26
 
 
 @dataclass(slots=True)
@@ -42,6 +45,11 @@ class _StreamRate:
         """Take the least age of some messages."""
         self.least_ns = min(self.least_ns, least_ns) if self.stamped else least_ns
         self.stamped += count
+
+
+def _short(name: str) -> str:
+    """A name as a legend has room for it: its beginning and its end."""
+    return name if len(name) <= _LEGEND else f"{name[: _LEGEND // 3]}…{name[_LEGEND // 3 + 1 - _LEGEND :]}"
 
 
 class Rates:
@@ -83,6 +91,7 @@ class Rates:
             if len(self._streams) >= _MAX_PLOTS:
                 return ""
             rate = self._streams[key] = _StreamRate(path_of(entry.channel), now_ns, now_ns)
+            self._name(entry, rate.path)
         self._begin_ns = self._begin_ns or now_ns
         second = (now_ns - self._begin_ns) // NS_PER_S
         if second > self._second:
@@ -100,6 +109,14 @@ class Rates:
         rate.messages += 1
         rate.this_second += 1
         return silence
+
+    def _name(self, entry: Entry, path: str) -> None:
+        """Name the curves of a stream; inputs, which the plots show, have colours in turn."""
+        number = sum(kind.is_input == entry.kind.is_input for kind, _ in self._streams) - 1
+        name, colour = _short(entry.channel), line_colour(number)
+        self._pen.curve(f"{RATES}/{entry.kind.value}/{path}", name, colour)
+        if entry.kind.is_input:
+            self._pen.curve(f"{LATENCIES}/{path}", name, colour)
 
     def alone(self, key: Key, stamps: Array) -> Array:
         """Mask of the messages (n,) of a stream that ``count`` counts: a new stream, an input that was silent."""
@@ -156,7 +173,7 @@ class Rates:
             self._pen.number, self._pen.stamp_ns, self._pen.source_ns = now[0] - 1, end_ns, 0
             for (kind, _), rate in self._streams.items():
                 value = float(rate.this_second) if counted else 0.0
-                self._pen.numbers(f"{RATES}/{kind.value}/{rate.path}", [value])
+                self._pen.numbers(f"{RATES}/{kind.value}/{rate.path}", [value], is_dense=True)
         for rate in self._streams.values():
             rate.this_second = 0
         self._pen.number, self._pen.stamp_ns, self._pen.source_ns = now

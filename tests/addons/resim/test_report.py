@@ -225,7 +225,7 @@ def test_a_stamp_is_later_and_a_number_of_that_name_differs() -> None:
     ],
 )
 def test_what_a_timer_samples(differing: list[str], of_timers: list[str], is_live: bool, word: str, first: str) -> None:
-    """What depends on when a timer began says nothing about a live recording, and hides nothing else."""
+    """What depends on when a timer began cannot be compared with a live recording, and hides nothing else."""
     streams = [
         StreamVerdict(name, 3, 3, int(name in differing), first=Difference(name, 1, 5 + number, "differs"))
         if name in differing
