@@ -277,6 +277,8 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
         print_line(f"  made by   igtl-gateway {made}" + (f" ({session['scenario']})" if "scenario" in session else ""))
     if "synthetic" in session:
         print_line(f"  synthetic {session['synthetic']}")
+    if summary["format_version"] == layout.DIGEST_VERSION:
+        print_line("  outputs   large ones are digests; for other programs: export --to mcap")
     for key, value in parse_json(session.get(layout.CUSTOM_KEY, "{}"), layout.CUSTOM_KEY).items():
         print_line(f"  {key:<9} {value}")
     missing, streams = summary.get("missing_parts", []), summary["streams"]

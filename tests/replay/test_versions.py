@@ -2,7 +2,8 @@
 
 A version that changes the file, or what is in it, adds a file of its own, ``VERSION-formatNUMBER-KIND.mcap``; none is
 ever written again.  ``slice`` is that of ``igtl-gateway slice fixtures/paper-types.mcap --end 0.4``, ``bridge-DATE``
-what the bridge of a commit of DATE recorded of a peer that sent ten poses and ten strings.
+what the bridge of a commit of DATE recorded of a peer that sent ten poses and ten strings; ``digest`` has three
+pictures of a peer, and the digests of what the gateway made of them.
 """
 
 from __future__ import annotations
@@ -14,13 +15,13 @@ import pytest
 from igtl_gateway.app.verification import verify_recording
 from igtl_gateway.base.version import __version__
 from igtl_gateway.gateway.log.entry import Kind
-from igtl_gateway.record.sessionfile.layout import FORMAT_VERSION
+from igtl_gateway.record.sessionfile.layout import PRESENT_VERSIONS
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from tests.places import ROOT
 
 FILES = sorted((ROOT / "tests" / "data" / "versions").glob("*.mcap"))
 #: What came from peers, by the kind of file.
-MESSAGES = {"slice": 4, "bridge": 20}
+MESSAGES = {"slice": 4, "bridge": 20, "digest": 3}
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
@@ -32,4 +33,5 @@ def test_a_file_of_each_version_is_read_and_verified(path: Path) -> None:
 
 
 def test_this_version_has_a_file() -> None:
-    assert [path for path in FILES if path.name.startswith(f"{__version__}-format{FORMAT_VERSION}-")]
+    for version in PRESENT_VERSIONS:
+        assert [path for path in FILES if path.name.startswith(f"{__version__}-format{version}-")]

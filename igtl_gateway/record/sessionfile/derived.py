@@ -11,6 +11,7 @@ Memory is bounded by the outputs of one chunk, which are as large as its inputs,
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -20,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from mcap.records import Channel, Schema
 
-from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.base.errors import ConfigError, DamagedRecording, UnsupportedRecording
 from igtl_gateway.base.untrusted import limits
 from igtl_gateway.base.version import __version__
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -41,6 +42,8 @@ VERSION_KEY = "igtl_gateway_version"
 #: First messages of each stream that the state may follow from, of large ones the first: in 64, programs such as PLUS
 #: are recognised.
 _FIRST = 66
+#: Chunks that are kept: that of an output, and the one with its input.
+_KEPT = 2
 
 _OUTPUTS = frozenset({Kind.IGTL_OUT, Kind.ROS_OUT})
 Flags = npt.NDArray[np.bool_]
@@ -120,7 +123,7 @@ class DerivedOutputs:
         if any(one.end_ns > two.start_ns for one, two in pairwise(self._chunks)):
             raise DamagedRecording(f"{path}: found chunks that overlap, expected none in a file with digests")
         self._starts = [chunk.start_ns for chunk in self._chunks]
-        self._read: tuple[int, list[Row]] = -1, []  # offset of the last chunk that was read here, and its messages
+        self._read: OrderedDict[int, list[Row]] = OrderedDict()  # the messages of chunks by offset, the last ones
         self._few, self._all = _Run(in_full=False), _Run(in_full=True)
         self._known: list[Entry] | None = None
         #: Where it is a set: numbers of the outputs that are not computed, of which the digest stays; else they raise.
@@ -220,10 +223,12 @@ class DerivedOutputs:
         return None
 
     def _rows_of(self, chunk: ChunkEntry) -> list[Row]:
-        if self._read[0] != chunk.at:
+        if chunk.at not in self._read:
             data = packed_chunk(self._stream, chunk, self._path).unpack()
-            self._read = chunk.at, [row for some in batches(data) for row in some]
-        return self._read[1]
+            self._read[chunk.at] = [row for some in batches(data) for row in some]
+            if len(self._read) > _KEPT:
+                self._read.popitem(last=False)
+        return self._read[chunk.at]
 
     # -- the session ------------------------------------------------------------------------------------------
 
@@ -245,7 +250,13 @@ class DerivedOutputs:
         from igtl_gateway.config.configuration import Config
         from igtl_gateway.gateway.session import Session, make_core
 
-        session = Session(make_core(Config.from_dict(facts.configuration(self._facts)), fast_path=False))
+        try:
+            config = Config.from_dict(facts.configuration(self._facts))
+        except ConfigError as error:
+            raise UnsupportedRecording(
+                f"{self._path}: outputs cannot be computed: the recorded configuration cannot be used: {error}"
+            ) from None
+        session = Session(make_core(config, fast_path=False))
         for group in input_groups(self._prologue()):
             session.restored(group.input, group.outputs)
         return session

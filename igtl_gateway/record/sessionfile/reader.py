@@ -562,7 +562,8 @@ class SessionFile:
         seq = 0
         looked_up = found.rows
         if self._derived:
-            rows = self._derived.rows([row for row, _ in looked_up], self._derived.numbers)
+            with self._damage_in("entries"):
+                rows = self._derived.rows([row for row, _ in looked_up], self._derived.numbers)
             looked_up = [(row, before) for row, (_, before) in zip(rows, looked_up, strict=True)]
         for row, before in looked_up:
             seq = before + 1 if self.foreign else next_seq(seq, row[1])

@@ -150,6 +150,11 @@ def test_info_has_the_same_figures(run: Run) -> None:
     assert full == digest
 
 
+def test_info_says_where_the_outputs_are(run: Run) -> None:
+    line = "outputs   large ones are digests; for other programs: export --to mcap"
+    assert line in run("info digest.mcap") and line not in run("info full.mcap")
+
+
 def test_doctor_looks_at_the_same_messages(run: Run) -> None:
     full, digest = (json.loads(run(f"doctor {name}.mcap --json")) for name in ("full", "digest"))
     assert full | {"file": ""} == digest | {"file": ""}
