@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from igtl_gateway.app.linting import observe
+from igtl_gateway.base.addons import is_present, part_of
 from igtl_gateway.base.errors import DamagedRecording
 from igtl_gateway.base.quantities import count_text
 from igtl_gateway.cli.doctor_output import print_doctor
@@ -18,6 +19,8 @@ def run(options: argparse.Namespace) -> int:
     try:
         with SessionFile.open(options.file) as file:
             seen = observe(file, options.config)
+        if is_present("sync"):
+            seen.lags = part_of("sync", "pointing:late_streams")(options.file)
     except DamagedRecording as error:
         if options.file.is_dir():
             raise  # it names the part that is damaged

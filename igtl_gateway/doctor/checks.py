@@ -478,6 +478,14 @@ def unconverted(observed: Observer) -> Iterator[RuleMatch]:
         yield RuleMatch(noted.first.stream, noted.first.text, {"count": noted.count})
 
 
+def late(observed: Observer) -> Iterator[RuleMatch]:
+    """A stream that is late, or early, behind another one with the same movement."""
+    for stream, fixed, lag_s in observed.lags:
+        way = "late behind" if lag_s > 0 else "ahead of"
+        text = f"{stream} is {duration_text(lag_s * NS_PER_S)} {way} {fixed}, which shows the same movement"
+        yield RuleMatch(stream, text, {"behind": fixed, "lag_s": lag_s})
+
+
 def no_source(observed: Observer) -> Iterator[RuleMatch]:
     """A configured source that is not there."""
     missing = observed.sources.missing(

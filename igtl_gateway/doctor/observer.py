@@ -74,6 +74,7 @@ class Observer:
         damage: damage of the recording itself; "" without damage.
         damaged_indexes: number of chunks of the recording whose index of messages is damaged.
         losses: reason → number of lost messages, by the ledger of the recording.
+        lags: (stream, the one that it is behind, lag in s) of streams with the same movement.
     """
 
     def __init__(self, config: Config, expected: ExpectedLinks | None = None) -> None:
@@ -91,6 +92,7 @@ class Observer:
         self.damage = ""
         self.damaged_indexes = 0
         self.losses: dict[str, int] = {}
+        self.lags: list[tuple[str, str, float]] = []
         self._ahead_ns = 0  # gateway time less the host's clock
 
     def add(self, entry: Entry) -> None:

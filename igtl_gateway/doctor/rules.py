@@ -313,6 +313,10 @@ RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
+        "IGTL-W308", "a stream is late", "docs/how-to/sync.md",
+        "`igtl-gateway sync FILE` measures the lag, and corrects it with `--apply`", checks.late,
+    ),
+    Rule(
         "IGTL-W304", "stamps decrease", "Protocol/timestamp.md",
         "check whether the sender's clock was set, or messages overtake each other",
         each_stream(

@@ -34,6 +34,7 @@ from igtl_gateway.wire.sensor import Sensor
 from igtl_gateway.wire.transform import Transform
 from tests.addons.sync.trajectories import trajectory
 from tests.addons.sync.worlds import stamps
+from tests.places import FIXTURES
 from tests.plus_sequences import water_tank_tracker, water_tank_video
 
 SECONDS, RATE = 20, 25
@@ -265,3 +266,19 @@ def test_the_water_tank_of_plus(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert (code, lag["verdict"]) == (0, "varies")
     assert lag["lag_s"] == pytest.approx(-0.0648, abs=0.002)
     assert lag["low_s"] < -0.0648 < lag["high_s"]
+
+
+def test_doctor_points_to_streams_that_are_late(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["doctor", str(recording), "--json"])
+    findings = [each for each in json.loads(capsys.readouterr().out)["findings"] if each["id"] == "IGTL-W308"]
+    assert len(findings) >= 2
+    for finding in findings:
+        planted = LATE_MS[finding["where"]] - LATE_MS[finding["data"]["behind"]]
+        assert abs(planted) > 30 and abs(finding["data"]["lag_s"] * 1000 - planted) < 5, finding
+    assert "igtl-gateway sync" in findings[0]["advice"]
+
+
+@pytest.mark.parametrize("name", ["star", "lego"])
+def test_doctor_reports_no_lag_where_there_is_none(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["doctor", str(FIXTURES / f"{name}.mcap"), "--json"])
+    assert "IGTL-W308" not in capsys.readouterr().out
