@@ -11,6 +11,7 @@ second, too, by the latest of them.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
@@ -94,13 +95,14 @@ class _Code:
 
     left: float
     counted_ns: int
+    most: float = _BURST
     episodes: OrderedDict[_Cause, _Episode] = field(default_factory=OrderedDict)
     others: _Episode = field(default_factory=lambda: _Episode(-EVERY_NS))  # above the limit
 
     def takes(self, now_ns: int) -> bool:
         """Count a note that is to be reported now; whether it is within the limit."""
         passed_ns = max(0, now_ns - self.counted_ns)
-        self.left = min(_BURST, self.left + passed_ns * _PER_S / NS_PER_S)
+        self.left = min(self.most, self.left + passed_ns * _PER_S / NS_PER_S)
         self.counted_ns = now_ns
         if self.left < 1:
             return False
@@ -109,9 +111,14 @@ class _Code:
 
 
 class NoteRate:
-    """Which notes are reported, and when.  Any thread may call it."""
+    """Which notes are reported, and when.  Any thread may call it.
 
-    def __init__(self) -> None:
+    Args:
+        limited: whether all notes of one code together are limited, too.
+    """
+
+    def __init__(self, *, limited: bool = True) -> None:
+        self._burst = _BURST if limited else math.inf
         self._codes: dict[str, _Code] = {}
         self._lock = threading.Lock()
 
@@ -121,7 +128,7 @@ class NoteRate:
             return None
         now_ns = event.stamp_ns
         with self._lock:
-            code = self._codes.setdefault(event.note.code, _Code(_BURST, now_ns))
+            code = self._codes.setdefault(event.note.code, _Code(self._burst, now_ns, self._burst))
             cause = (event.note.stream, event.note.text, event.links)
             episode = code.episodes.get(cause)
             if episode and (episode.held or now_ns - episode.reported_ns < episode.every_ns):

@@ -12,9 +12,11 @@ import numpy.typing as npt
 import rerun as rr
 
 from igtl_gateway.addon import ConversionError
+from igtl_gateway.addon.live import NoteEvent
 from igtl_gateway.addon.processes import Once
+from igtl_gateway.addon.reading import Kind, Level, Note
 from igtl_gateway.addons.view.colours import SERIES
-from igtl_gateway.addons.view.contents import FRAMES, LOG, EntityKind, SessionContents, ShownTopic, escape_path_part
+from igtl_gateway.addons.view.contents import FRAMES, EntityKind, SessionContents, ShownTopic, escape_path_part
 from igtl_gateway.addons.view.pen import MAX_ENTITIES, Pen, Pose, Xyz
 from igtl_gateway.addons.view.trails import Trail
 
@@ -145,9 +147,11 @@ class Canvas:
         self.pen.numbers(self._path(child), values)
         self._drawn(child)
 
-    def text(self, text: str, level: str = "INFO", colour: int | None = None) -> None:
-        """Write a line to the log of the session."""
-        self.pen.text(LOG, f"{self.shown.topic}: {text}", level, colour)
+    def text(self, text: str, level: str = "INFO", *, is_list: bool = False) -> None:
+        """Write a line to the log of the session, unless it is the same again; of lists only a few in a second."""
+        topic = self.shown.topic
+        note = Note(Level[level], topic, f"{topic}: {text}", topic)
+        self.pen.report(NoteEvent(self.pen.stamp_ns, Kind.ROS_OUT, note, ()), is_words=not is_list)
 
     def text_once(self, text: str, about: str = "") -> None:
         """Write a line to the log of the session, once for each ``about`` (default: the text)."""

@@ -16,11 +16,15 @@ import numpy.typing as npt
 import rerun as rr
 
 from igtl_gateway.addon import NS_PER_S, ConversionError
-from igtl_gateway.addon.reading import Entry
-from igtl_gateway.addons.view.colours import INFO
+from igtl_gateway.addon.live import NoteEvent, NoteRate
+from igtl_gateway.addon.reading import Entry, Level, Note
+from igtl_gateway.addons.view.colours import ERROR, INFO, WARN
 from igtl_gateway.addons.view.columns import LINES, NUMBERS, POSES, SIZES, Collected, RowKind, Rows, times_of
-from igtl_gateway.addons.view.contents import PLACES
+from igtl_gateway.addons.view.contents import LOG, PLACES
 from igtl_gateway.addons.view.rhythm import Rhythm
+
+#: Colour of a line.
+LEVELS = {Level.INFO: INFO, Level.WARN: WARN, Level.ERROR: ERROR}
 
 #: The time lines: gateway time, the source stamp (if the sender set one), and the entry number.
 GATEWAY_TIME, SENDER_TIME, ENTRY = "gateway_time", "sender_time", "entry"
@@ -90,6 +94,8 @@ class Pen:
         self._numbers: dict[str, int] = {}  # path → the number that was not tried yet
         self._placed: set[str] = set()
         self._rhythms: dict[tuple[str, str], Rhythm] = {}
+        self._notes, self._words = NoteRate(), NoteRate(limited=False)
+        self._looked_ns = 0
 
     def unique_path(self, path: str) -> str:
         """Return ``path`` for a new entity, or ``<path>_2`` and so on if it is taken.
@@ -213,6 +219,32 @@ class Pen:
         # rerun gives a line without a colour that of the previous line
         self.log(path, rr.TextLog(self.displayable(line), level=level, color=INFO if colour is None else colour))
 
+    def report(self, event: NoteEvent, *, is_words: bool = False) -> None:
+        """Write a line to the log of the session, unless it has come before and is no news (`NoteRate`).
+
+        ``is_words``: of a message, so that each other one is written, however many there are.
+        """
+        if event.stamp_ns - self._looked_ns >= NS_PER_S:
+            self._looked_ns = event.stamp_ns
+            self._report_due(event.stamp_ns)
+        if shown := (self._words if is_words else self._notes).take(event):
+            self._line(shown)
+
+    def report_rest(self) -> None:
+        """Write what was held back."""
+        self._report_due(None)
+
+    def _report_due(self, now_ns: int | None) -> None:
+        times = self.stamp_ns, self.source_ns
+        for event in (*self._notes.due(now_ns), *self._words.due(now_ns)):
+            self.moment(event.stamp_ns)
+            self._line(event)
+        self.stamp_ns, self.source_ns = times
+
+    def _line(self, event: NoteEvent) -> None:
+        note, more = event.note, f" ({event.more:,} more like it)" if event.more else ""
+        self.text(LOG, f"{line_of(note, event.links)}{more}", note.level.name, LEVELS[note.level])
+
     def displayable(self, text: str) -> str:
         """Return the text; a ``plain`` pen escapes the characters that a headless viewer cannot draw."""
         text = valid(text)
@@ -289,3 +321,10 @@ def valid(text: str) -> str:
 def timeless(time_ns: int) -> bool:
     """Return whether a UTC stamp in nanoseconds is unset or outside the time lines (1970 to 2116)."""
     return not 0 < time_ns <= LAST_NS
+
+
+def line_of(note: Note, links: tuple[int, ...]) -> str:
+    """Return the line of a note in the log, with its stream and its links."""
+    stream = f"{note.stream}: " if note.stream and note.stream not in note.text else ""
+    which = f" [link {', '.join(map(str, links))}]" if links else ""
+    return f"{stream}{note.text}{which}"

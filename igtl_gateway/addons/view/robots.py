@@ -17,7 +17,7 @@ import rerun as rr
 
 from igtl_gateway.addon import RecordingError
 from igtl_gateway.addons.view.canvas import Canvas
-from igtl_gateway.addons.view.colours import GREY, WARN, rgba
+from igtl_gateway.addons.view.colours import GREY, rgba
 from igtl_gateway.addons.view.contents import EntityKind
 from igtl_gateway.addons.view.meshes import MeshFolders
 from igtl_gateway.addons.view.robot_model import MOVING, Joint, JointKind, Robot, Visual, Xyz
@@ -201,7 +201,7 @@ class Robots:
         if missing:
             meshes = sum(visual.shape == "mesh" for visuals in model.visuals.values() for visual in visuals)
             text = f"{len(missing)} of {meshes} meshes are missing: {missing[0]}"
-            canvas.text(text, "WARN", WARN)
+            canvas.text(text, "WARN")
 
     def _body(self, visual: Visual, urdf: Path | None, missing: list[str]) -> list[Any] | None:
         """Return a body for rerun, in the frame of its link; None if it cannot be drawn."""

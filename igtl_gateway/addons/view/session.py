@@ -20,14 +20,14 @@ import numpy.typing as npt
 import rerun as rr
 
 from igtl_gateway.addon import ConversionError
-from igtl_gateway.addon.live import NoteEvent, NoteRate
+from igtl_gateway.addon.live import NoteEvent
 from igtl_gateway.addon.messages import ieee_754
 from igtl_gateway.addon.reading import Entry, EntryColumns, Kind, Level, Mark, MarkNote, Note
 from igtl_gateway.addon.untrusted import read_bytes
 from igtl_gateway.addons.view.blocks import NOTES, Block, Stream, Unfit
 from igtl_gateway.addons.view.blueprints import is_camera, target_frame
 from igtl_gateway.addons.view.canvas import Canvas, Options
-from igtl_gateway.addons.view.colours import ERROR, INFO, WARN
+from igtl_gateway.addons.view.colours import ERROR, WARN
 from igtl_gateway.addons.view.contents import (
     DROPS,
     FRAMES,
@@ -44,7 +44,7 @@ from igtl_gateway.addons.view.contents import (
     path_of,
 )
 from igtl_gateway.addons.view.eye import eye_of
-from igtl_gateway.addons.view.pen import GATEWAY_TIME, LAST_NS, SENDER_TIME, Pen, timeless
+from igtl_gateway.addons.view.pen import GATEWAY_TIME, LAST_NS, LEVELS, SENDER_TIME, Pen, line_of, timeless
 from igtl_gateway.addons.view.rates import Rates
 from igtl_gateway.addons.view.robots import Robots
 from igtl_gateway.addons.view.rows import Form, Unlike, drawing_of, stamp_of
@@ -62,7 +62,6 @@ Mask = npt.NDArray[np.bool_]
 
 _ROS = frozenset((Kind.ROS_IN, Kind.ROS_OUT))
 _RESERVED = frozenset((LOG.partition("/")[0], RATES.partition("/")[0], FRAMES, LAG, PLACES, REVIEW))
-_COLOURS = {Level.INFO: INFO, Level.WARN: WARN, Level.ERROR: ERROR}
 _DROP_WORDS = ("drop", "lost", "full", "missed", "left_out")
 
 #: Bytes of entries after which what was drawn is waited for.
@@ -134,7 +133,6 @@ class SessionView:
         self._robots = Robots()
         self._siblings: list[_Sibling] = []
         self._rates = Rates(self._pen)
-        self._rate = NoteRate()
         self._last_number = 0
         self._inputs = 0
         self._learns = False  # the forms of what is drawn
@@ -185,7 +183,7 @@ class SessionView:
     @ieee_754
     def finish(self) -> None:
         """Send the collected rows and rulers.  The last, incomplete second gets no rate: it would look like a drop."""
-        self._log_due(None)
+        self._pen.report_rest()
         self._pen.flush()
         for number, tree in enumerate(self.seen.trees().values()):
             frame = target_frame(self.seen, tree)
@@ -208,7 +206,7 @@ class SessionView:
             phase = [(mark.time_ns, " begins"), (mark.last_ns, " ends")]
             for time_ns, verb in [(mark.time_ns, "")] if mark.end_ns is None else phase:
                 self._pen.moment(time_ns)
-                self._pen.text(MARKS, f"mark {mark.label}{verb}{words}", Level.INFO.name, _COLOURS[Level.INFO])
+                self._pen.text(MARKS, f"mark {mark.label}{verb}{words}", Level.INFO.name, LEVELS[Level.INFO])
 
     def review(self, review: Review) -> None:
         """Draw the review of a suture plan."""
@@ -450,31 +448,17 @@ class SessionView:
 
     def _note(self, entry: Entry) -> None:
         note = Note.of(entry.data())
-        text = _line(note, entry.links)
-        self._log_due(entry.stamp_ns)
-        self._pen.at(entry)
-        if event := self._rate.take(NoteEvent(entry.stamp_ns, entry.kind, note, entry.links)):
-            self._log(event)
+        text = line_of(note, entry.links)
+        self._pen.report(NoteEvent(entry.stamp_ns, entry.kind, note, entry.links))
         if mark := MarkNote.of(note):
             self._pen.moment(entry.stamp_ns - mark.ago_ns)
-            self._pen.text(MARKS, text, note.level.name, _COLOURS[note.level])
+            self._pen.text(MARKS, text, note.level.name, LEVELS[note.level])
             self._pen.at(entry)
         if entry.kind is Kind.LINK:
-            self._pen.text(LINKS, text, note.level.name, _COLOURS[note.level])
+            self._pen.text(LINKS, text, note.level.name, LEVELS[note.level])
         if any(word in note.code for word in _DROP_WORDS):
             dropped = note.data.get("count") or note.data.get("dropped") or 1
             self._drop(sum(dropped.values()) if isinstance(dropped, dict) else dropped, text, in_log=False)
-
-    def _log_due(self, now_ns: int | None) -> None:
-        """Log the notes that were held back until a time (UTC); None: all of them."""
-        for event in self._rate.due(now_ns):
-            self._pen.moment(event.stamp_ns)
-            self._log(event)
-
-    def _log(self, event: NoteEvent) -> None:
-        more = f" ({event.more:,} more like it)" if event.more else ""
-        note = event.note
-        self._pen.text(LOG, f"{_line(note, event.links)}{more}", note.level.name, _COLOURS[note.level])
 
     def _drop(self, number: int, text: str, *, in_log: bool = True) -> None:
         self._pen.log(
@@ -482,10 +466,3 @@ class SessionView:
         )
         if in_log:
             self._pen.text(LOG, text, "WARN", WARN)
-
-
-def _line(note: Note, links: tuple[int, ...]) -> str:
-    """Return the line of a note in the log, with its stream and its links."""
-    stream = f"{note.stream}: " if note.stream and note.stream not in note.text else ""
-    which = f" [link {', '.join(map(str, links))}]" if links else ""
-    return f"{stream}{note.text}{which}"

@@ -1,4 +1,4 @@
-"""Text, status, commands, lists: each message is a line in the log of the session."""
+"""Text, status, commands, lists: each message is a line in the log of the session, unless it is the same again."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ import rerun as rr
 from igtl_gateway.addon import ConversionError, RecordingError, ros
 from igtl_gateway.addon.ros import DiagnosticStatus, Empty, Log, OperatingState, String, StringStamped
 from igtl_gateway.addons.view.canvas import Canvas
-from igtl_gateway.addons.view.colours import ERROR, WARN
 
 #: Last part of the topic of a URDF (robot_state_publisher).
 ROBOT_DESCRIPTION = "robot_description"
 
-_LEVELS = (("INFO", None), ("WARN", WARN), ("ERROR", ERROR), ("WARN", WARN))
+_LEVELS = ("INFO", "WARN", "ERROR", "WARN")
 _MAX_LINE = 300
 _ROS_WARN, _ROS_ERROR = 30, 40
 _QUERIES = {1: "GET", 2: "START", 3: "STOP", 4: "REPLY"}
@@ -36,15 +35,15 @@ def draw_string(message: String, canvas: Canvas) -> None:
 
 def draw_status(message: DiagnosticStatus, canvas: Canvas) -> None:
     """diagnostic_msgs/DiagnosticStatus."""
-    level, colour = _LEVELS[min(message.level, len(_LEVELS) - 1)]
-    _log_text(canvas, f"{message.name} {message.message}".strip(), level, colour)
+    level = _LEVELS[min(message.level, len(_LEVELS) - 1)]
+    _log_text(canvas, f"{message.name} {message.message}".strip(), level)
 
 
 def draw_state(message: OperatingState, canvas: Canvas) -> None:
     """crtk_msgs/OperatingState: a fault is an error."""
-    level, colour = _LEVELS[2 if message.state == "FAULT" else 0]
+    level = _LEVELS[2 if message.state == "FAULT" else 0]
     words = (message.state, *(["homed"] if message.is_homed else []), *(["busy"] if message.is_busy else []))
-    _log_text(canvas, " ".join(words), level, colour)
+    _log_text(canvas, " ".join(words), level)
 
 
 def draw_stamped_string(message: StringStamped, canvas: Canvas) -> None:
@@ -59,8 +58,8 @@ def draw_empty(_message: Empty, canvas: Canvas) -> None:
 
 def draw_log(message: Log, canvas: Canvas) -> None:
     """rcl_interfaces/Log: levels are 10 (debug), 20, 30, 40, 50 (fatal)."""
-    level, colour = _LEVELS[(message.level >= _ROS_WARN) + (message.level >= _ROS_ERROR)]
-    _log_text(canvas, f"{message.name}: {message.msg}", level, colour)
+    level = _LEVELS[(message.level >= _ROS_WARN) + (message.level >= _ROS_ERROR)]
+    _log_text(canvas, f"{message.name}: {message.msg}", level)
 
 
 def draw_command(message: ros.Command, canvas: Canvas) -> None:
@@ -73,7 +72,7 @@ def draw_reply(message: ros.CommandReply, canvas: Canvas) -> None:
     good = message.status == message.SUCCESS
     outcome = _REPLIES.get(message.status, str(message.status))
     text = f"reply to {message.id} {message.name!r}: {outcome} {message.error_message} {message.content}".strip()
-    _log_text(canvas, text, *(_LEVELS[0] if good else _LEVELS[1]))
+    _log_text(canvas, text, _LEVELS[0] if good else _LEVELS[1])
 
 
 def draw_query(message: ros.Query, canvas: Canvas) -> None:
@@ -136,12 +135,12 @@ def _list(canvas: Canvas, title: str, items: Sequence[str]) -> None:
     items = items or ("none",)
     document = f"**{title}**\n\n" + "\n".join(f"- {item}" for item in items)
     canvas.log(rr.TextDocument(canvas.pen.displayable(document), media_type="text/markdown"))
-    canvas.text(_line(f"{title}: {', '.join(items)}"))
+    canvas.text(_line(f"{title}: {', '.join(items)}"), is_list=True)
 
 
-def _log_text(canvas: Canvas, text: str, level: str = "INFO", colour: int | None = None) -> None:
+def _log_text(canvas: Canvas, text: str, level: str = "INFO") -> None:
     canvas.log(rr.TextDocument(canvas.pen.displayable(text)))
-    canvas.text(_line(text), level, colour)
+    canvas.text(_line(text), level)
 
 
 def _line(text: str) -> str:

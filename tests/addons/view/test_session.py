@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 
 from igtl_gateway.addons.view.blueprints import NAMES, blueprint
-from igtl_gateway.convert.igtl_msgs import PolyData
+from igtl_gateway.convert.igtl_msgs import Metadata, MetadataItem, PolyData
 from igtl_gateway.convert.rosmsg import Header, Mesh, String, TransformStamped
 from igtl_gateway.gateway import TICK
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -284,3 +284,16 @@ def test_no_fixture_has_a_line_of_its_log_many_times(draw: Draw, fixture: Path) 
         log = Counter(draw(entries=[replace(one, seq=number) for number, one in enumerate(notes, 1)]).log())
     repeated = {line: count for line, count in log.items() if count > 4}
     assert not repeated and not [line for line in log if "deadline" in line]
+
+
+def test_the_log_has_no_text_that_comes_periodically_without_news(draw: Draw) -> None:
+    """The metadata of each pose of PLUS, and a state that is sent again and again; each other text is a line."""
+    told: list[Any] = []
+    for number in range(400):
+        told += [("/meta", Metadata(Header(), "TRANSFORM", "Tool", 0, (MetadataItem("TransformStatus", 3, "OK"),)))]
+        told += [("/state", String("AT TARGET")), ("/count", String(str(number)))]
+    drawn = draw(*told)
+    log = drawn.log()
+    assert sum("TransformStatus" in line for line in log) <= 4 and sum("AT TARGET" in line for line in log) <= 4
+    assert sum(line.startswith("/count: ") for line in log) == 400
+    assert len(drawn.rows("state")) == 400, "each message is a row of its topic"
