@@ -80,7 +80,9 @@ def interface_class(type_name: str) -> Any:
     try:
         return getattr(importlib.import_module(f"{package}.{kind}"), name)
     except (ImportError, AttributeError) as error:
-        raise UnknownTypeError(f"unknown type, {first_line(error)} (install the package {package} for it)") from error
+        # only where there is none: what could not be compiled has its own reason
+        advice = "" if type(error) is ImportError else f" (install the package {package} for it)"
+        raise UnknownTypeError(f"unknown type, {first_line(error)}{advice}") from error
 
 
 def profile_of(rclpy: Any, qos: Qos, lifespan_ns: int | None = None) -> Any:
