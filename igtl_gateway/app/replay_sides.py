@@ -128,7 +128,7 @@ def _open_igtl(
     clock = SystemClock()
 
     def on_frame(link: int, data: Buffer) -> None:
-        """Take a message of a listener, which is no part of the replay, but shows what the peer is."""
+        """Take a message of a listener: it is outside of the replay, but shows what the peer is."""
         if listeners.on_frame(link, data) and not peers.begun:
             tell("= igtl-gateway doctor looks at this replay: it does not count as a peer")
             reply = Message("STATUS", REPLY_DEVICE, REPLAY_REPLY, ns_to_ticks(clock.utc_ns()))

@@ -11,7 +11,7 @@ from igtl_gateway.base.addons import is_present, part_of
 from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.record.sessionfile.records import MAGIC
 
-#: Words of the errors about files and directories that are no recordings of this program.
+#: Words of the errors about files and directories that this program has not recorded.
 _NO_MCAP, _OTHERS, _FOLDER = "not an MCAP file", "of another program", "found a directory"
 _EXPECTED = "expected a recording of igtl-gateway (MCAP)"
 
@@ -46,7 +46,7 @@ def _paths(options: argparse.Namespace) -> Iterator[Path]:
 
 
 def _is_mcap(path: Path) -> bool:
-    """Return whether a file begins as MCAP does, whoever wrote it."""
+    """Return whether a file begins as MCAP does, from any program."""
     try:
         with path.open("rb") as stream:
             return stream.read(len(MAGIC)) == MAGIC

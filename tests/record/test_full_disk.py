@@ -66,7 +66,7 @@ def check(path: Path, expected: list[Entry]) -> None:
 
 
 def failed_writer(path: Path, flushed: int, room: int) -> tuple[SessionWriter, list[Entry]]:
-    """A writer whose file may have so many bytes more, after some entries that were flushed."""
+    """A writer whose file may have ``room`` bytes more, after some entries that were flushed."""
     out = SessionWriter(path, samples.SESSION, counted=True)
     entries = [noise(seq) for seq in range(1, flushed + 1)]
     for entry in entries:
