@@ -164,6 +164,7 @@ HOMES: dict[str, tuple[str, ...]] = {
         "addons.lerobot",
         "addons.cohort",
         "addons.view.arrays",
+        "addons.view.chosen",
         "addons.view.columns",
     ),
     "pcapng": ("addons.exchange.pcap_file",),

@@ -19,6 +19,7 @@ import rerun.blueprint as rrb
 from igtl_gateway.addon import ConfigError
 from igtl_gateway.addon.reading import Kind
 from igtl_gateway.addons.view.contents import (
+    CHOSEN,
     DROPS,
     LAG_CURVES,
     LAG_TEXT,
@@ -251,8 +252,9 @@ def _plots(seen: SessionContents) -> Part:
     has_rates = seen.seconds >= 1  # a shorter session has none
     rates = [_plot(seen, "Rate (Hz)", f"/{RATES}", inputs)] if has_rates else []
     lag = [_plot(seen, seen.lag, f"/{LAG_CURVES}")] if seen.lag else []
+    chosen = [_plot(seen, title, f"/{CHOSEN}/{number}") for number, title in enumerate(seen.chosen)]
     gateway = [_plot(seen, "Latency (ms)", f"/{LATENCIES}"), _plot(seen, "Drops and gaps", f"/{DROPS}")]
-    return _tabs([*lag, *plots, *rates, *gateway])
+    return _tabs([*chosen, *lag, *plots, *rates, *gateway])
 
 
 def _plot(

@@ -13,6 +13,8 @@ from igtl_gateway.addon import NS_PER_S
 #: Entities that belong to no topic.
 LOG, LINKS, DROPS, MARKS = "session/log", "session/links", "session/drops", "session/marks"
 RATES, LATENCIES = "plots/rate", "plots/latency"
+#: Plots of fields that were asked for by name: ``chosen/<number>/<curve>``.
+CHOSEN = "chosen"
 #: The lag between two streams.
 LAG = "lag"
 LAG_TEXT, LAG_CURVES = f"{LAG}/text", f"{LAG}/curves"
@@ -136,6 +138,7 @@ class SessionContents:
         places: child frame → its latest pose in the parent frame: x, y, z in metres, quaternion x, y, z, w.
         first_ns, last_ns: gateway time of the first and last entry, UTC ns; 0 = none.
         reviewed: whether a review of the suture plan was drawn.
+        chosen: titles of the plots of fields that were asked for.
         lag: names of the two streams whose lag was drawn; "" = none.
         scales: cloud of the review → its colour scale.
         fields: names of fields of clouds, for ``--color-by``.
@@ -149,6 +152,7 @@ class SessionContents:
     first_ns: int = 0
     last_ns: int = 0
     reviewed: bool = False
+    chosen: list[str] = field(default_factory=list)
     lag: str = ""
     scales: dict[str, str] = field(default_factory=dict)
     fields: set[str] = field(default_factory=set)

@@ -27,8 +27,9 @@ from igtl_gateway.addon.untrusted import read_bytes
 from igtl_gateway.addons.view.blocks import NOTES, Block, Stream, Unfit
 from igtl_gateway.addons.view.blueprints import is_camera, target_frame
 from igtl_gateway.addons.view.canvas import Canvas, Options
-from igtl_gateway.addons.view.colours import ERROR, WARN
+from igtl_gateway.addons.view.colours import ERROR, WARN, line_colour
 from igtl_gateway.addons.view.contents import (
+    CHOSEN,
     DROPS,
     FRAMES,
     LAG,
@@ -56,12 +57,13 @@ if TYPE_CHECKING:
     from igtl_gateway.addons.review import Review
     from igtl_gateway.addons.sync.lag import Lag
     from igtl_gateway.addons.sync.signal import Signal
+    from igtl_gateway.addons.view.chosen import Series
 
 Array = npt.NDArray[Any]
 Mask = npt.NDArray[np.bool_]
 
 _ROS = frozenset((Kind.ROS_IN, Kind.ROS_OUT))
-_RESERVED = frozenset((LOG.partition("/")[0], RATES.partition("/")[0], FRAMES, LAG, PLACES, REVIEW))
+_RESERVED = frozenset((CHOSEN, LOG.partition("/")[0], RATES.partition("/")[0], FRAMES, LAG, PLACES, REVIEW))
 _DROP_WORDS = ("drop", "lost", "full", "missed", "left_out")
 
 #: Bytes of entries after which what was drawn is waited for.
@@ -225,6 +227,15 @@ class SessionView:
         shown = self.seen.shown[str(urdf)] = ShownTopic(path, str(urdf), "URDF", EntityKind.ROBOT, self.seen.base_frame)
         canvas = Canvas(self._pen, self.seen, shown, self._options, len(self.seen.shown), self._robots)
         self._robots.describe(read_bytes(urdf), namespace, canvas, urdf)
+
+    def plot(self, series: Series) -> None:
+        """Draw a field that was asked for by name, in a plot of its own."""
+        number = len(self.seen.chosen)
+        self.seen.chosen.append(series.title)
+        for place, (name, values) in enumerate(series.curves.items()):
+            path = f"{CHOSEN}/{number}/{place}"
+            self._pen.curve(path, name, line_colour(place))
+            self._pen.series(path, series.times, values)
 
     def lag(self, fixed: Signal, moving: Signal, lag: Lag, shift_ns: int) -> None:
         """Draw the lag of one stream behind another; stamps + ``shift_ns`` are times of the gateway."""

@@ -38,6 +38,9 @@ EXAMPLES = """\
   igtl-gateway view out.mcap --colour-by intensity
   # with the lag of a stream behind another one
   igtl-gateway view out.mcap --sync TRANSFORM/Probe IMAGE/Video
+  # with any numbers by their names in CSV, in plots of their own
+  igtl-gateway view out.mcap --plot TRANSFORM/Tool.z_mm \
+      --plot /joint_states.position[0]
   # with a robot, if the session has no /robot_description; two arms
   igtl-gateway view out.mcap --urdf psm.urdf
   igtl-gateway view out.mcap --urdf /PSM1=psm.urdf --urdf /PSM2=psm.urdf
@@ -80,6 +83,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="draw this robot; joint states below the namespace move it (repeatable)",
     )
+    parser.add_argument(
+        "--plot", metavar="STREAM.FIELD", action="append", default=[],
+        help="plot numbers of a stream, by the name of a column of `export --to csv` (repeatable)",
+    )  # fmt: skip
     parser.add_argument(
         "--sync", nargs=2, metavar="STREAM", help="draw the lag of the second stream behind the first, as `sync` does"
     )

@@ -198,6 +198,8 @@ def _draw(
             recording, config.base_frame, Options(colour_by=options.colour_by, plain=bool(options.screenshot))
         )
         measured = _lag(options, path, view)
+        if options.plot:
+            _plot(options, path, view)
         for word in options.urdf:
             namespace, urdf = _robot(word)
             view.add_robot(urdf, namespace)
@@ -221,6 +223,7 @@ def _draw(
         "blueprint": layout,
         "reviewed": view.seen.reviewed,
         "lag": measured,
+        "plots": view.seen.chosen,
         "seconds_of_session": view.seen.seconds,
         "messages": sum(facts.messages.values()),
         "drawn": facts.drawn,
@@ -241,6 +244,16 @@ def _draw(
         ],
         "without_field": bool(options.colour_by) and options.colour_by not in view.seen.fields,
     }
+
+
+def _plot(options: argparse.Namespace, path: Path, view: SessionView) -> None:
+    """Draw the fields that ``--plot`` names."""
+    from igtl_gateway.addon.reading import open_recording  # here: most views are of entries only
+    from igtl_gateway.addons.view.chosen import series_of
+
+    with open_recording(path) as recording:
+        for word in options.plot:
+            view.plot(series_of(recording, word))
 
 
 def _lag(options: argparse.Namespace, path: Path, view: SessionView) -> dict[str, Any] | None:
