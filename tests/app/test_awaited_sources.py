@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+
+import pytest
+
 from igtl_gateway.app.awaited_sources import AwaitedSources
+from igtl_gateway.app.bridge import Bridge as LiveBridge
+from igtl_gateway.app.bridge_options import BridgeOptions
+from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.configuration import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.gateway.expected import ExpectedSource, PresentSources, expected_sources
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
 
 EXPECTED = expected_sources(Config(to_igtl=(ToIgtlRow(topic="/tol"),), to_ros=(ToRosRow(device="Prob"),)))
@@ -97,3 +106,51 @@ def test_a_type_that_does_not_fit_has_a_row_and_the_note_of_its_subscription() -
     assert bridge.awaited.missing[0].text == "topic /tol: x_msgs/msg/Y has no conversion (to_igtl[0])"
     bridge.present = PresentSources(topics={"/tol": ["std_msgs/msg/String"]})
     assert bridge.until(40) == [] and bridge.notes[1].code == "source_came"
+
+
+def wait_until(is_so: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20
+    while not is_so():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+@pytest.mark.ros
+def test_a_node_of_ros_that_comes_late() -> None:
+    """A bridge on a real graph; the five seconds are those of a manual clock."""
+    from rclpy.context import Context
+    from rclpy.node import Node
+    from std_msgs.msg import String
+
+    notes: list[Note] = []
+
+    def seen(entry: Entry) -> None:
+        if entry.kind is Kind.EDGE_NOTE:
+            notes.append(Note.of(entry.data()))
+
+    config = Config(to_igtl=(ToIgtlRow(topic="/wrods"), ToIgtlRow(topic="/odd", type="IMAGE")))
+    bridge = LiveBridge(config, BridgeOptions((("127.0.0.1", 0),)), SystemClock(), seen)
+    context = Context()
+    context.init(args=[])
+    node = Node("robot", context=context)
+    bridge.start()
+    try:
+        for topic in ("/words", "/odd"):
+            node.create_publisher(String, topic, 1)
+        now_ns = SystemClock().monotonic_ns()
+
+        def missing(*expected: str) -> bool:
+            nonlocal now_ns
+            now_ns += 6 * NS_PER_S
+            bridge.awaited.look(now_ns)
+            return [each.text for each in bridge.awaited.missing] == [*expected]
+
+        odd = "topic /odd: std_msgs/msg/String has no conversion to IMAGE (to_igtl[1])"
+        wait_until(lambda: missing("topic /wrods: no publisher; did you mean '/words'? (to_igtl[0])", odd))
+        node.create_publisher(String, "/wrods", 1)
+        wait_until(lambda: missing(odd))
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+        bridge.stop()
+    assert [(note.code, note.stream) for note in notes if note.code == "source_came"] == [("source_came", "/wrods")]
