@@ -168,6 +168,7 @@ NOTES: dict[str, dict[str, str]] = {
         "record_late": "the file is behind by more than the flush interval: a kill of both processes loses that",
         "record_on_time": "the file is written within the flush interval again",
         "record_space_low": "the disk of the recording is full in less than 30 min, or 5 min, at the present rate",
+        "record_rate": "what the recording takes in an hour: when the streams are there, and when it changes much",
         "record_space": "there is room on the disk of the recording again",
         "record_split_held": "a part of a split recording goes on although it is due to end; the text has the reason",
         "record_part_lost": "another program removed or truncated a closed part of a split recording",

@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 
 _IGTL = frozenset({Kind.IGTL_IN.value, Kind.IGTL_OUT.value})
 _ROS = frozenset({Kind.ROS_IN.value, Kind.ROS_OUT.value})
+#: Shorter recordings have no rate by the hour, s.
+_LEAST_S, _HOUR_S = 10.0, 3600
 _NOT_YET = "   unknown: the ledger is written when the recording ends"
 
 
@@ -262,6 +264,9 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
         number = count_text(summary["entries"], "entry", "entries")
         duration = duration_text(summary["duration_s"] * NS_PER_S)
         print_line(f"  start     {summary['start']}, {duration}{jumps}, {number}")
+        if summary["duration_s"] >= _LEAST_S and not summary["foreign"]:
+            hourly = size_text(summary["bytes"] * _HOUR_S / summary["duration_s"])
+            print_line(f"  disk      {hourly} an hour")
         if restores := sum(stream["restores"] for stream in summary["streams"]):
             messages = count_text(restores, "message")
             print_line(f"  state     {messages} of before the slice: counted here, and in no rate and no gap")

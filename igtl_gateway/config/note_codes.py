@@ -16,7 +16,7 @@ NOTE_CODES = (
     "no_partner no_source not_a_pose not_a_rotation not_finite not_for_peer not_valid out_of_memory own_parent "
     "page peer_profile prologue_incomplete query_unanswered queue_drop queue_full rate_limited record_again "
     "record_continued record_drop record_failed record_late record_moves record_on_time record_part_lost "
-    "record_paused record_refused record_resumed record_snapshot record_space record_space_low "
+    "record_paused record_rate record_refused record_resumed record_snapshot record_space record_space_low "
     "record_split_held record_stalled record_started record_stopped record_thread record_undefined "
     "record_waits refused retention_clock retention_deleted retention_failed retention_kept ros_bad_attachment "
     "ros_bad_token ros_call_refused ros_callback_failed ros_held_old ros_hold_overflow ros_incompatible_qos "

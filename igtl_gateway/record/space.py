@@ -44,6 +44,7 @@ class SpaceWatch:
     Attributes:
         free_bytes: at the last look; None: not known.
         left_s: the time that is left, s; None: not known, or nothing is written.
+        written: bytes of the recording so far.
     """
 
     def __init__(self, free: Callable[[], int | None], until_deleted: Callable[[], int | None] = lambda: None) -> None:
@@ -52,7 +53,7 @@ class SpaceWatch:
         self._free, self._until_deleted = free, until_deleted
         self._seen: deque[tuple[int, int, int]] = deque()  # time, written, free
         self._level = self._next_level = self._in_a_row = 0
-        self._looked_ns = 0
+        self._looked_ns = self.written = 0
         self._rate = 0.0  # bytes in a second, as long as something is written
         self._closed_bytes = self._present_bytes = 0  # of the files before the present one, and of that
 
@@ -71,7 +72,8 @@ class SpaceWatch:
         if size < self._present_bytes:
             self._closed_bytes += self._present_bytes
         self._present_bytes = size
-        return self.look(now_ns, self._closed_bytes + size)
+        self.written = self._closed_bytes + size
+        return self.look(now_ns, self.written)
 
     def look(self, now_ns: int, written: int) -> Note | None:
         """Return the note that is due; ``written``: bytes of the recording so far, ``now_ns``: monotonic."""

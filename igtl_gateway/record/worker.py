@@ -33,6 +33,7 @@ from igtl_gateway.record.output import Hooks, Output
 from igtl_gateway.record.pace import Pace, Times
 from igtl_gateway.record.parts import REMOVED, PartsWriter
 from igtl_gateway.record.priority import Priority
+from igtl_gateway.record.rate import RateWatch
 from igtl_gateway.record.reports import (
     AGAIN,
     CONTINUED,
@@ -148,6 +149,7 @@ class _RecorderWorker:
         self._failures = Failures()
         self._gate = SelectionFilter(options.selection, settings.rule)
         self._space = SpaceWatch(lambda: free_bytes(settings.path.absolute().parent), self._until_deleted)
+        self._rate = RateWatch()
         self._full_bytes: int | None = None  # free bytes of a disk that has failed
         self._taken = 0  # entries and commands at the last poll
         self._seen_refused = 0
@@ -589,8 +591,10 @@ class _RecorderWorker:
                 self._full_bytes = self._space.free_bytes
             elif self._space.has_more_than(self._full_bytes):
                 self._failures.again_ns = now_ns
-            if note and self._failures.again_ns is None:
-                self._note(note)
+            rate = self._rate.look(now_ns, self._space.written, self._space.free_bytes)
+            for each in (note, rate) if self._failures.again_ns is None else ():
+                if each:
+                    self._note(each)
         if self._failures.is_due(now_ns) and not any(each[0] == "again" for each in self._requests):
             self._requests.append(("again", 0, self._clock.utc_ns()))
 

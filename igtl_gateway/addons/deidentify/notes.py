@@ -38,7 +38,7 @@ CODES = frozenset({
     *"record_started record_stopped record_stalled record_moves record_waits".split(),
     *"no_source source_came trigger trigger_saved trigger_incomplete".split(),
     *"record_continued record_part_lost record_split_held record_again record_late record_on_time".split(),
-    *"record_space_low record_space".split(),
+    *"record_space_low record_space record_rate".split(),
     *"retention_deleted retention_kept retention_clock retention_failed".split(),
     *REFUSED_COMMANDS, UNWRITTEN,
     *"upload_confirmed upload_waits upload_reached upload_differs stamps_corrected deidentified".split(),

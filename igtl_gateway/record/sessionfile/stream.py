@@ -54,7 +54,9 @@ from igtl_gateway.record.sessionfile.sealing import KINDS, SEAL, Sealer, entry_n
 #: A message of this part of a chunk's size is large.
 _LARGE = 4
 
-#: A chunk with large messages may be larger by this, until the next of its first stream: an input with its outputs.
+#: Outputs have the gateway time of their input and a few nanoseconds: what comes later than this is another input.
+_OF_ONE_NS = 100
+#: A chunk with large messages may be larger by this, until the next input: an input and its outputs are in one.
 _WITH_LARGE = 8
 #: Compressed size, relative to the uncompressed one, from which on compression is not worth its time; with zstd, for
 #: which size comes first.
@@ -102,6 +104,7 @@ class McapStream:
         self._zstd = [picture_compressor(level) for level in _LEVELS.get(compression, ())]
         self._judged: dict[int, int] = {}  # chunks until the levels are compared again, by channel
         self._slower: dict[int, bool] = {}  # whether a channel is worth the slower level
+        self._large_ns = 0  # log time of the last large message
         self._held: list[int] = []  # channels of the large messages inside the chunk
         self._second_ns = self._second_bytes = 0  # since when large messages are counted, and their bytes
         self._is_fast = False  # more came in the last second than zstd has time for
@@ -171,12 +174,12 @@ class McapStream:
         size = len(head) + len(data)
         is_large = size >= self._large
         is_held = is_large and self._holds(channel, size, log_time)
-        if (
-            is_large
-            and self._held
-            and (not is_held or (channel == self._held[0] and len(self._chunk) > self._chunk_bytes))
-        ):
-            self._end_chunk()  # an input, and its outputs, begin together
+        if is_large and self._held:
+            is_input = log_time - self._large_ns > _OF_ONE_NS
+            if not is_held or (is_input and len(self._chunk) > self._chunk_bytes):
+                self._end_chunk()
+        if is_large:
+            self._large_ns = log_time
         chunk = self._chunk
         begin = MESSAGE_RECORD.pack(MESSAGE, MESSAGE_HEAD.size + size, channel, sequence, log_time, publish_time)
         chunk += begin

@@ -21,8 +21,18 @@ _CHANCE = random.Random(1)
 NOISE, SAME = _CHANCE.randbytes(2 * LARGE), bytes(2 * LARGE)
 
 
-def chunks(messages: list[tuple[int, bytes]], compression: Compression, step_ns: int = 100_000_000) -> list[ChunkIndex]:
-    """Of a file of these messages (channel, data), ``step_ns`` apart, which the library reads as they are."""
+def chunks(
+    messages: list[tuple[int, bytes]],
+    compression: Compression,
+    step_ns: int = 100_000_000,
+    of_one: int = 1,
+    cut: int = 0,
+) -> list[ChunkIndex]:
+    """Of a file of these messages (channel, data), which the library reads as they are.
+
+    Inputs are ``step_ns`` apart; each with its outputs is ``of_one`` messages, a nanosecond apart.  The file is flushed
+    before message ``cut``.
+    """
     file = BytesIO()
     stream = McapStream(file, chunk_bytes=CHUNK_BYTES, compression=compression)
     stream.start("", "")
@@ -31,16 +41,20 @@ def chunks(messages: list[tuple[int, bytes]], compression: Compression, step_ns:
         assert stream.register_channel(f"/{number}", "cdr", schema, {}) == number
     for number, (channel, data) in enumerate(messages):
         given = bytearray(data)
-        stream.add_message(channel, number * step_ns, b"", memoryview(given), 5, number)
+        if number == cut:
+            stream.flush()
+        log_time = number // of_one * step_ns + number % of_one
+        stream.add_message(channel, log_time, b"", memoryview(given), 5, number)
         given[:] = bytes(len(given))  # the caller may do with it what he likes
     stream.finish()
     assert stream.size == len(file.getvalue())
     file.seek(0)
     read = [
-        (channel.id, bytes(message.data), message.log_time // step_ns, message.sequence)
+        (channel.id, bytes(message.data), message.log_time, message.sequence)
         for _, channel, message in make_reader(file, validate_crcs=True).iter_messages(log_time_order=False)
     ]
-    assert read == [(*message, number, number) for number, message in enumerate(messages)]
+    times = [number // of_one * step_ns + number % of_one for number in range(len(messages))]
+    assert read == [(*message, times[number], number) for number, message in enumerate(messages)]
     file.seek(0)
     summary = make_reader(file).get_summary()
     assert summary and summary.statistics
@@ -78,13 +92,16 @@ def noise() -> bytes:
     return _CHANCE.randbytes(2 * LARGE)
 
 
-@table("compression", ["auto", "zstd"])
-def test_of_an_input_and_its_equal_outputs_one_remains(compression: Compression) -> None:
+@table(("compression", "outputs"), [(name, count) for name in ("auto", "zstd") for count in (1, 2)])
+def test_of_an_input_and_its_equal_outputs_one_remains(compression: Compression, outputs: int) -> None:
+    """Also if the file is flushed between them: the next chunks begin with an input again."""
+    of_one = 1 + outputs
     pictures = [noise() for _ in range(200)]
-    found = chunks([(channel, each) for each in pictures for channel in (1, 2, 3)], compression)
-    assert {each.compression for each in found} == {"zstd"}
+    messages = [(channel, each) for each in pictures for channel in range(1, of_one + 1)]
+    found = chunks(messages, compression, of_one=of_one, cut=7)
+    assert {each.compression for each in found[5:]} == {"zstd"}
     assert sum(each.compressed_size for each in found) < 1.1 * sum(map(len, pictures))
-    assert all(each.message_start_time // 100_000_000 % 3 == 0 for each in found), "a chunk begins with an input"
+    assert all(each.message_start_time % 100_000_000 == 0 for each in found[5:]), "a chunk begins with an input"
 
 
 @table("compression", ["auto", "zstd"])
