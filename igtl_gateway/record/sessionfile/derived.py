@@ -136,12 +136,14 @@ class DerivedOutputs:
         """Messages in order, with the outputs in place of the digests of the wanted channels."""
         if self.numbers.isdisjoint(row[0] for row in rows):
             return rows
-        found, cause = [], None
+        found, cause, size = [], None, 0
         for row in rows:
             if row[0] in self._inputs:
                 cause = row
             elif row[0] in self.numbers and row[0] in wanted:
                 message = self._message(row, cause)
+                size += len(message)
+                limits.check_limit("memory", size, self._path)
                 found.append((*row[:4], 0, len(message), message))
                 continue
             found.append(row)

@@ -46,6 +46,7 @@ from igtl_gateway.record.sessionfile.definition import Definition, FileDefinitio
 from igtl_gateway.record.sessionfile.derived import DerivedOutputs, is_digested, output_channel
 from igtl_gateway.record.sessionfile.index import read_index, read_record, recover_hint
 from igtl_gateway.record.sessionfile.index_check import damaged_indexes
+from igtl_gateway.record.sessionfile.large_outputs import DIGEST_NAME
 from igtl_gateway.record.sessionfile.layout import LayoutError
 from igtl_gateway.record.sessionfile.lookup import LatchedStateRule, Numbers, chunk_times, look_up
 from igtl_gateway.record.sessionfile.merged import MERGE_METADATA, Definitions, Merge, extract_part, parse_merge
@@ -107,6 +108,8 @@ class SessionFile:
         self.format_version, self.session = migrations.read_session(path, session)
         digested = [channel for channel in index.channels.values() if is_digested(channel)]
         if digested:  # readers get the outputs
+            for name in {channel.metadata[layout.DIGEST_KEY] for channel in digested} - {DIGEST_NAME}:
+                raise UnsupportedRecording(f"{path}: found digests {name!r}, expected {DIGEST_NAME!r}")
             schemas = dict(index.schemas)
             outputs = {channel.id: output_channel(channel, schemas) for channel in digested}
             self._index = index = replace(index, schemas=schemas, channels=index.channels | outputs)

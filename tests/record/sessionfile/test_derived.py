@@ -335,6 +335,13 @@ def test_a_reader_of_the_version_before_refuses_the_file(
         SessionFile.open(tmp_path / "digest.mcap")
 
 
+def test_another_digest_is_refused(log: list[Entry], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("igtl_gateway.record.sessionfile.writer.DIGEST_NAME", "md5")
+    written(tmp_path / "digest.mcap", log[:10], "digest")
+    with pytest.raises(UnsupportedRecording, match="found digests 'md5', expected 'sha256'"):
+        SessionFile.open(tmp_path / "digest.mcap")
+
+
 def test_no_digest_is_larger_than_the_limit_of_memory(log: list[Entry], tmp_path: Path) -> None:
     written(tmp_path / "digest.mcap", log, "digest")
     with (
