@@ -111,7 +111,7 @@ class SessionWriter:
         self.undefined: list[str] = []
         self._qos_of = qos_of
         self._definition_of = definition_of
-        self._types = types or RosTypes()
+        self._types = types  # None: not needed so far; those of rosbags take 0.1 s
         self._topics = layout.WireTopics()
         self._channels: dict[tuple[Kind, str, str], int] = {}  # by kind, channel and type of the entries
         self._digests: dict[tuple[Kind, str, str], int] = {}  # likewise, of those whose digest is written
@@ -449,7 +449,10 @@ class SessionWriter:
             return self._mcap.register_channel(topic, layout.MESSAGE_ENCODING, self._schemas[ros_type], metadata)
 
     def _register_schema(self, ros_type: str) -> Definition | None:
-        definition = self._definition_of(ros_type) or self._types.find(ros_type)
+        definition = self._definition_of(ros_type)
+        if not definition:
+            self._types = self._types or RosTypes()
+            definition = self._types.find(ros_type)
         if ros_type not in self._schemas:
             if not definition:
                 self.undefined.append(ros_type)
