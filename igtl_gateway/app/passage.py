@@ -115,8 +115,8 @@ class StreamReports:
             if self._native.get(key) if not why else key in self._native or looks < _LOOKS_BEFORE_PYTHON:
                 continue
             self._native[key] = not why
-            how = f"through Python: {why}" if why else "natively"
-            notes.append(Note(Level.INFO, NATIVE_PASSAGE, f"{key[1]} passes {how}", key[1], {"native": not why}))
+            how = f"in Python, which takes longer: {why}" if why else "in C"
+            notes.append(Note(Level.INFO, NATIVE_PASSAGE, f"{key[1]} is converted {how}", key[1], {"native": not why}))
         return notes
 
 

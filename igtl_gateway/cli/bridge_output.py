@@ -95,7 +95,7 @@ class StatusLine:
         self._last: tuple[float, Counter[Kind]] = (0.0, Counter())
 
     def __call__(self, bridge: Bridge, watch: EntryWatch, seconds: float) -> str:
-        """Return the line; ``seconds`` is the time since the start."""
+        """Return the line, which begins with what matters most; ``seconds`` is the time since the start."""
         before_s, before = self._last
         self._last = (seconds, Counter(watch.counts))
         rates = {kind: (watch.counts[kind] - before[kind]) / max(seconds - before_s, 1e-3) for kind in Kind}
@@ -105,14 +105,18 @@ class StatusLine:
         if bridge.recorder:
             counters = bridge.recorder.counters()
             state = _state_of(bridge.recorder)
-            recorded = f" | recorded {state}{counters['written_entries']:,}" + (
+            recorded = f"recorded {state}{counters['written_entries']:,}" + (
                 f" LOST {counters['dropped_entries']:,}" if counters["dropped_entries"] else ""
             )
-        return (
-            f"{count_text(peers, 'peer')} | OpenIGTLink in {rates[Kind.IGTL_IN]:.0f}/s "
-            f"out {rates[Kind.IGTL_OUT]:.0f}/s | ROS in {rates[Kind.ROS_IN]:.0f}/s out {rates[Kind.ROS_OUT]:.0f}/s | "
-            f"dropped {dropped:,} rejected {watch.refused:,}{recorded}"
+        parts = (
+            count_text(peers, "peer"),
+            recorded,
+            f"dropped {dropped:,}" if dropped else "",
+            f"rejected {watch.refused:,}" if watch.refused else "",
+            f"IGTL {rates[Kind.IGTL_IN]:.0f} in, {rates[Kind.IGTL_OUT]:.0f} out/s",
+            f"ROS {rates[Kind.ROS_IN]:.0f} in, {rates[Kind.ROS_OUT]:.0f} out/s",
         )
+        return " | ".join(filter(None, parts))
 
 
 class TextOutput:
@@ -137,7 +141,7 @@ class TextOutput:
     def _print(self, text: str, priority: int = service.INFO) -> None:
         if self._terminal:
             clear_live_line()
-        print_line(text, flush=True, priority=priority)
+        print_line(text, flush=True, priority=priority, log=True)
         if self._terminal and self._status:
             live_line(self._status)
 
@@ -154,8 +158,8 @@ class TextOutput:
         print_line(f"ROS 2        node {bridge.ros.full_name}" if bridge.ros else f"ROS 2        off ({off})")
         for note in notes:
             print_line(f"             {note.partition(' (')[0]}")
-        until = f", to ROS after its discovery ({DISCOVERY_NS // NS_PER_S} s)" if bridge.ros else ""
-        print_line(f"passage      {f'Python ({bridge.native_off})' if bridge.native_off else f'native{until}'}")
+        until = f", to ROS from {DISCOVERY_NS // NS_PER_S} s after the start on" if bridge.ros else ""
+        print_line(f"conversion   {f'in Python ({bridge.native_off})' if bridge.native_off else f'in C{until}'}")
         print_line(f"recording    {bridge.options.record or 'off (--record FILE)'}")
         if rules := bridge.options.recording.triggers:
             print_line(f"black box    by {', '.join(map(str, rules))}")
@@ -201,7 +205,7 @@ class TextOutput:
     def status(self, bridge: Bridge, watch: EntryWatch, seconds: float) -> None:
         if not self._terminal:
             return
-        self._status = f"{seconds:6.0f} s | {self._status_line(bridge, watch, seconds)}"
+        self._status = f"{seconds:.0f} s | {self._status_line(bridge, watch, seconds)}"
         live_line(self._status)
 
     def stopped(self, bridge: Bridge, watch: EntryWatch) -> None:

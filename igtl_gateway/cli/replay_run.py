@@ -87,7 +87,7 @@ def _controls(
 def _print_status(options: argparse.Namespace, text: str) -> None:
     # also called by the edges' threads: whether there still is a reader, the report finds out in ours
     with suppress(BrokenPipeError):
-        print_line(text, error=options.json, flush=True)
+        print_line(text, error=options.json, flush=True, log=True)
 
 
 def _print_jump(options: argparse.Namespace, jump: Jump, start_ns: int) -> None:

@@ -134,11 +134,10 @@ def _facts(report: SliceReport) -> dict[str, object]:
 
 
 def _print(out: Path, report: SliceReport) -> None:
-    how = f"{report.compiled:,} of them by compiled conversions" if report.compiled else "each by the full path"
     print_line(
         f"{out}: {count_text(report.inputs, 'input')} and {count_text(report.outputs, 'output')}, "
         f"{size_text(out.stat().st_size)}; "
-        f"prologue: {count_text(report.prologue, 'input')} that restore the state; computed for comparison: {how}"
+        f"before it {count_text(report.prologue, 'input')} with the state at its beginning"
     )
     if report.computed:
         print_line(

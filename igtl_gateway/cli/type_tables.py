@@ -24,7 +24,9 @@ def mapping(config: Config) -> list[str]:
         kinds = f", {', '.join(rule.kinds)}" if rule.kinds else ""
         lines.append(f"  device {rule.device} -> {rule.topic}{kinds}")
     for sent in config.to_igtl:
-        lines.append(f"  {sent.topic} -> {sent.type or 'type by table'}, device {sent.device or 'by topic'}")
+        lines.append(
+            f"  {sent.topic} -> {sent.type or 'its usual type'}, device {sent.device or 'named after the topic'}"
+        )
     for request in (row.request() for row in config.tf_out):
         frames = ", ".join(request.frames)
         lines.append(f"  frame {frames} in {request.base} -> {request.type}, device {request.device}")

@@ -33,16 +33,16 @@ def test_a_stream_is_reported_once_and_again_when_it_becomes_native() -> None:
     passes = dict.fromkeys(waits, "")
     found = [[note.text for note in reports.look(waits)] for _ in range(7)]
     assert found == [
-        ["/robot passes natively"],
+        ["/robot is converted in C"],
         *([] for _ in range(4)),
         [
-            "POLYDATA/Model passes through Python: surfaces are converted by Python",
-            "SENSOR/Force passes through Python: its conversion is not compiled",
-            "TRANSFORM/Tool passes through Python: /tf waits",
+            "POLYDATA/Model is converted in Python, which takes longer: surfaces are converted by Python",
+            "SENSOR/Force is converted in Python, which takes longer: its conversion is not compiled",
+            "TRANSFORM/Tool is converted in Python, which takes longer: /tf waits",
         ],
         [],
     ]
-    assert [note.text for note in reports.look(passes)] == ["TRANSFORM/Tool passes natively"]
+    assert [note.text for note in reports.look(passes)] == ["TRANSFORM/Tool is converted in C"]
     assert reports.look(passes) == reports.look(waits) == []
 
 

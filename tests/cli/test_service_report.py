@@ -21,7 +21,7 @@ from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.config.configuration import Config
 from tests.integration.bridge import gateway
 
-ALIVE = "STATUS=0 peers | OpenIGTLink in 0/s out 0/s | ROS in 0/s out 0/s | dropped 0 rejected 0\nWATCHDOG=1"
+ALIVE = "STATUS=0 peers | IGTL 0 in, 0 out/s | ROS 0 in, 0 out/s\nWATCHDOG=1"
 
 
 class Manager(ServiceManager):

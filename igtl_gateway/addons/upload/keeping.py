@@ -23,7 +23,7 @@ def upload(folder: Path, values: Mapping[str, Any]) -> int:
 
         def show(note: Note) -> None:
             if not values["json"]:
-                print_line(note.text, error=note.code != CONFIRMED, flush=True)
+                print_line(note.text, error=note.code != CONFIRMED, flush=True, log=True)
 
         rate = values["upload_rate"] * 1e6
         uploader = Uploader(folder.absolute(), None, place, rate, clock, show, stop.is_set)
