@@ -27,6 +27,7 @@ from igtl_gateway.app.replay_sides import ReplaySides, open_sides
 from igtl_gateway.app.rows import with_sends
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError, GatewayError
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.faults import LOSS, Fate, Faults
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -230,7 +231,7 @@ def _why_nothing(player: Player, options: ReplayOptions, how: ReplayPlan) -> str
         if played.refused:
             return next(iter(played.refused))[1]
         if played.left_out:
-            return f"no connected peer can read the {played.left_out:,} messages; --exact sends them"
+            return f"no connected peer can read the {count_text(played.left_out, 'message')}; --exact sends them"
         return "see `igtl-gateway info`, --side and --send"
     asked = options.side or options.streams or options.to != "igtl"
     if asked or not all(is_of_dialogue(name.partition("/")[0]) for name in played.by_stream):

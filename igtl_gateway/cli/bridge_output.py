@@ -84,7 +84,7 @@ def _where(bridge: Bridge, summary: RecordingSummary) -> str:
         return f"{count_text(len(summary.files), what)} of {summary.path}"
     beside = [path for path in summary.files if path.parent == summary.path.parent]  # parts are inside of the path
     if len(beside) > 1:
-        return f"{len(beside)} files, the last one {beside[-1]}"
+        return f"{count_text(len(beside), 'file')}, the last one {beside[-1]}"
     return str(beside[0] if beside else summary.path)  # the next name if another program took the first file away
 
 
@@ -220,7 +220,7 @@ class TextOutput:
             print_line(f"  connections rejected, {reason}: {number:,}")
         for cause, number in sorted(self._repeats.items()):
             if number > 1 and cause[0] not in ("stream", NATIVE_PASSAGE):
-                print_line(f"  {' '.join(filter(None, cause))}: {number:,} times")
+                print_line(f"  {' '.join(filter(None, cause))}: {count_text(number, 'time')}")
         if bridge.summary:
             summary = bridge.summary
             lost, left_out = sum(summary.dropped.values()), sum(summary.left_out.values())

@@ -12,6 +12,7 @@ from pathlib import Path
 from igtl_gateway.base.addons import is_present, part_of
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import ConfigError, GatewayError, MessageTooLarge, WireError
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.untrusted import cpu_time
 from igtl_gateway.base.untrusted.files import is_same
 from igtl_gateway.cli.terminal import print_json, print_line
@@ -73,7 +74,7 @@ def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target:
             foreign = foreign + 1 if facts["header_version"] not in HEADER_VERSIONS else 0
             if foreign == _FOREIGN:
                 raise GatewayError(
-                    f"offset {offset}: found {foreign} messages in a row of an unknown header version, "
+                    f"offset {offset}: found {count_text(foreign, 'message')} in a row of an unknown header version, "
                     "expected OpenIGTLink"
                 )
             if target:

@@ -66,7 +66,7 @@ def _row(stream: StreamDiff, report: RecordingDiff) -> tuple[str, ...]:
 def _places(stream: StreamDiff) -> list[str]:
     """Where the first differences are."""
     lines = [str(stream.first)] if stream.first else []
-    lines += [f"{stream.restamped:,} stamps differ from the common offset"] if stream.restamped else []
+    lines += [f"{count_text(stream.restamped, 'stamp')} differ from the common offset"] if stream.restamped else []
     if stream.within:
         at = f"at message {stream.mm_at or stream.deg_at}"
         lines.append(f"{stream.within:,} differ within the tolerance, most {at}")

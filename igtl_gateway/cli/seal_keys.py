@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.cli.terminal import print_line
 from igtl_gateway.record.seal.keys import SigningKey, key_id, load_trusted, trusted_with
 from igtl_gateway.record.sessionfile.new_file import open_new
@@ -36,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
     files: list[Path] = options.files
     count, expected = _COUNTS.get(options.action, (len(files), ""))
     if len(files) != count:
-        raise ConfigError(f"keys {options.action}: found {len(files)} files, expected {expected}")
+        raise ConfigError(f"keys {options.action}: found {count_text(len(files), 'file')}, expected {expected}")
     if options.action == SHOW:
         for path in files:
             _show(path)

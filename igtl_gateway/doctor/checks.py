@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from igtl_gateway.base.quantities import duration_text
+from igtl_gateway.base.quantities import count_text, duration_text
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.convert.names import MAX_DEVICE_NAME, topic_token
 from igtl_gateway.doctor.observations import ObservedPeer, ObservedStream
@@ -47,6 +47,11 @@ LARGE_MM = 50_000.0
 GAP_FACTOR, GAP_NS, MIN_MESSAGES = 10, NS_PER_S, 20
 
 
+def many(number: int) -> str:
+    """``1 message``, ``12 messages``."""
+    return count_text(number, "message")
+
+
 @dataclass(frozen=True, slots=True)
 class RuleMatch:
     """One case of a rule: the place, what was found there, and its data."""
@@ -77,9 +82,7 @@ def other_protocol(observed: Observer) -> Iterator[RuleMatch]:
             continue
         shown = _shown(peer.head)
         if peer.messages:
-            text = (
-                f"after {peer.messages} messages, the next bytes are not a header: {shown}; an earlier size was wrong"
-            )
+            text = f"after {many(peer.messages)}, the next bytes are not a header: {shown}; an earlier size was wrong"
         else:
             found = protocol or "an unknown protocol"
             text = f"{peer.name} does not send OpenIGTLink but {found}: its first bytes are {shown}"
@@ -171,7 +174,9 @@ def closed_at_once(observed: Observer) -> Iterator[RuleMatch]:
         lasted = duration_text(first.down_ns - first.up_ns)
         text = f"{first.name} closed the connection after {lasted}, before any message"
         yield RuleMatch(
-            first.name, text + (f"; so {len(peers)} times" if len(peers) > 1 else ""), {"count": len(peers)}
+            first.name,
+            text + (f"; so {count_text(len(peers), 'time')}" if len(peers) > 1 else ""),
+            {"count": len(peers)},
         )
 
 
@@ -241,7 +246,9 @@ def short_links(observed: Observer) -> Iterator[RuleMatch]:
             short[host] = short.get(host, 0) + 1
     for host, number in short.items():
         if number >= MIN_SHORT_LINKS:
-            yield RuleMatch(host, f"{number} links with {host} lasted less than {duration_text(SHORT_NS)}")
+            yield RuleMatch(
+                host, f"{count_text(number, 'link')} with {host} lasted less than {duration_text(SHORT_NS)}"
+            )
 
 
 # ── headers ───────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -309,7 +316,7 @@ def other_unit(stream: ObservedStream) -> int:
 def in_unit(stream: ObservedStream) -> str:
     fractions = stream.fractions
     return (
-        f"the fractions of {fractions.stamped} stamps count {fractions.unit}, not 2^-32 s: none is above "
+        f"the fractions of {count_text(fractions.stamped, 'stamp')} count {fractions.unit}, not 2^-32 s: none is above "
         f"{fractions.largest:,}"
         + (f", and ages differ by {duration_text(fractions.spread_ns)}" if fractions.spread_ns >= NS_PER_MS else "")
     )
@@ -342,7 +349,7 @@ def is_coarse(stream: ObservedStream) -> int:
 def coarse(stream: ObservedStream) -> str:
     timing = stream.timing
     if timing.repeated == timing.stamped - 1:
-        return f"all {timing.stamped} stamps are equal: the sender's clock does not advance"
+        return f"all {count_text(timing.stamped, 'stamp')} are equal: the sender's clock does not advance"
     step = f"rounded to {duration_text(timing.step_ns)}" if timing.step_ns else "from a clock of low resolution"
     return f"stamps are {step}; {timing.repeated} of {timing.stamped} are equal to the previous one"
 
@@ -374,7 +381,8 @@ def same_names(observed: Observer) -> Iterator[RuleMatch]:
         concurrent = [number for number in numbers if _is_concurrent(observed, number, numbers)]
         if len(concurrent) > 1:
             yield RuleMatch(
-                name, f"{len(concurrent)} peers send {name} at the same time; receivers treat them as one stream"
+                name,
+                f"{len(concurrent)} peers send {name} at the same time; receivers treat them as one stream",
             )
 
 
@@ -427,26 +435,26 @@ def fine(stream: ObservedStream) -> str:
 
 
 def not_rotations(stream: ObservedStream) -> str:
-    text = f"columns not perpendicular or not of length 1 in {stream.not_orthonormal} messages"
+    text = f"columns not perpendicular or not of length 1 in {many(stream.not_orthonormal)}"
     if stream.by_rows == stream.not_orthonormal:
         text += ": its rows are; openigtlink-rust 0.4.1 writes TDATA row by row, the protocol has columns"
     return text
 
 
 def not_unit(stream: ObservedStream) -> str:
-    text = f"the quaternion of {stream.not_unit} messages has a length of {stream.shortest:.3g}, not 1"
+    text = f"the quaternion of {many(stream.not_unit)} has a length of {stream.shortest:.3g}, not 1"
     return text if stream.shortest else f"{text}: no rotation; pygtlink 1.0.0 sends 0 unless one is given"
 
 
 def denormal(observed: Observer) -> Iterator[RuleMatch]:
     for stream in observed.streams.values():
         if stream.denormal:
-            text = f"numbers such as {stream.denormal_value:.3g} in {stream.denormal} of {stream.messages} messages: "
+            text = f"numbers such as {stream.denormal_value:.3g} in {stream.denormal} of {many(stream.messages)}: "
             yield RuleMatch(stream.name, f"{text}the bytes of an integer in a float field?", {"count": stream.denormal})
     for name, topic in observed.topics.items():
         if topic.denormal:
             text = (
-                f"{topic.field} is {topic.value:.3g} in {topic.denormal} of {topic.messages} messages of {topic.type}: "
+                f"{topic.field} is {topic.value:.3g} in {topic.denormal} of {many(topic.messages)} of {topic.type}: "
                 "an int, a bool or a number of numpy was assigned to a float field, and rclpy sends other bytes of it"
             )
             yield RuleMatch(name, text, {"field": topic.field, "count": topic.denormal})
@@ -527,7 +535,7 @@ def damaged(observed: Observer) -> Iterator[RuleMatch]:
 
 def lost(observed: Observer) -> Iterator[RuleMatch]:
     for what, number in observed.losses.items():
-        yield RuleMatch(what, f"{number:,} messages lost: {what}", {"count": number})
+        yield RuleMatch(what, f"{many(number)} lost: {what}", {"count": number})
 
 
 def too_many_streams(observed: Observer) -> Iterator[RuleMatch]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from igtl_gateway.base.quantities import duration_text
+from igtl_gateway.base.quantities import count_text, duration_text
 from igtl_gateway.doctor import checks
 from igtl_gateway.doctor.checks import RuleMatch, each_stream
 from igtl_gateway.doctor.observer import Observer
@@ -133,7 +133,7 @@ RULES: tuple[Rule, ...] = (
         "without one by default",
         each_stream(
             lambda one: one.misfits,
-            lambda one: f"{one.misfits} messages with header version {min(one.versions)} have the body of the other",
+            lambda one: f"the body of {checks.many(one.misfits)} of header version {min(one.versions)} is of the other",
         ),
     ),
     Rule(
@@ -147,7 +147,7 @@ RULES: tuple[Rule, ...] = (
         "`check_crc = false`",
         each_stream(
             lambda one: one.no_crc,
-            lambda one: f"the CRC of {one.no_crc} of {one.messages} messages is 0: the sender does not compute it",
+            lambda one: f"the CRC of {one.no_crc} of {checks.many(one.messages)} is 0: the sender does not compute it",
         ),
     ),
     Rule(
@@ -156,14 +156,16 @@ RULES: tuple[Rule, ...] = (
         "`check_crc = false` accepts the messages",
         each_stream(
             lambda one: one.bad_crc - one.no_crc,
-            lambda one: f"the CRC of {one.bad_crc - one.no_crc} of {one.messages} messages does not match the body",
+            lambda one: f"the CRC of {one.bad_crc - one.no_crc} of {checks.many(one.messages)} does not match the body",
         ),
     ),
     Rule(
         "IGTL-E210", "malformed body", "docs/reference/messages.md",
         "correct the encoding of the sender, which the finding names if it is known to differ (pyIGTLink, pyigtl, "
         "OpenIGTLink-Java, openigtlink-rust, 3D Slicer); `igtl-gateway decode` shows the bytes",
-        each_stream(lambda one: one.malformed, lambda one: f"{one.malformed} messages cannot be decoded: {one.error}"),
+        each_stream(
+            lambda one: one.malformed, lambda one: f"{checks.many(one.malformed)} cannot be decoded: {one.error}"
+        ),
     ),
     Rule(
         "IGTL-E110", "message too large", f"{HEADER}: Body size",
@@ -216,7 +218,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-E503", "NaN or infinity", "Protocol/transform.md",
         "do not send unknown poses, or mark them in the metadata (TransformStatus)",
-        each_stream(lambda one: one.not_finite, lambda one: f"NaN or infinity in {one.not_finite} messages"),
+        each_stream(lambda one: one.not_finite, lambda one: f"NaN or infinity in {checks.many(one.not_finite)}"),
     ),
     Rule(
         "IGTL-W504", "rotation matrix is not orthonormal", "Protocol/transform.md",
@@ -239,7 +241,7 @@ RULES: tuple[Rule, ...] = (
         "IGTL-W505", "left-handed axes", "Protocol/transform.md",
         "RAS is right-handed: check for two exchanged axes, or one negated axis",
         each_stream(
-            lambda one: one.mirrored, lambda one: f"the rotation matrix of {one.mirrored} messages is a reflection"
+            lambda one: one.mirrored, lambda one: f"the rotation matrix of {checks.many(one.mirrored)} is a reflection"
         ),
     ),
     Rule(
@@ -334,7 +336,7 @@ RULES: tuple[Rule, ...] = (
         "set stamps in the sender; without stamps the gateway uses the time of receipt",
         each_stream(
             lambda one: one.timing.unset,
-            lambda one: f"{one.timing.unset} of {one.timing.messages} messages have the stamp 0 (unset)",
+            lambda one: f"{one.timing.unset} of {checks.many(one.timing.messages)} have the stamp 0 (unset)",
         ),
     ),
     Rule(
@@ -390,7 +392,7 @@ RULES: tuple[Rule, ...] = (
         "IGTL-I508", "poses do not change", f"{DOCTOR}: Rates",
         "no action for a calibration; a moving tool is out of sight, or the sender repeats its last pose",
         each_stream(
-            checks.is_frozen, lambda one: f"all {one.lengths.messages:,} poses are equal"
+            checks.is_frozen, lambda one: f"all {count_text(one.lengths.messages, 'pose')} are equal"
         ),
     ),
     Rule(

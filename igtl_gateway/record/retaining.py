@@ -8,6 +8,7 @@ from collections.abc import Set
 from pathlib import Path
 
 from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.retention.retention import Choice, Retention, RetentionReport
@@ -134,7 +135,7 @@ class RetentionThread:
 def _text(choices: list[Choice]) -> str:
     """``3 recordings (1,234 bytes)``, or the name of one."""
     size = sum(each.recording.size for each in choices)
-    what = choices[0].recording.name if len(choices) == 1 else f"{len(choices):,} recordings"
+    what = choices[0].recording.name if len(choices) == 1 else f"{count_text(len(choices), 'recording')}"
     return f"{what} ({size:,} bytes)"
 
 

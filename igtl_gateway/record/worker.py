@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import FileTaken, RecordingError
 from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Level, Note
@@ -523,7 +524,7 @@ class _RecorderWorker:
         done_bytes = self._queue.done_bytes
         cause, figures = self._pace.describe(now_ns, done_bytes)
         self._pace.begin(now_ns, done_bytes)
-        text = f"{cause}: {unnoted.total():,} entries of {len(unnoted)} streams are not in the recording"
+        text = f"{cause}: {unnoted.total():,} entries of {count_text(len(unnoted), 'stream')} are not in the recording"
         text += f" ({figures})" if figures else ""
         self._note(Note(Level.WARN, DROPPED, text, data={"dropped": dict(sorted(unnoted.items()))}))
 

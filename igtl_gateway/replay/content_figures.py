@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import Counter
 
 from igtl_gateway.base.errors import GatewayError
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.gateway.log.clocksteps import ClockStep
 from igtl_gateway.record.sessionfile import figures, layout
 from igtl_gateway.record.sessionfile.channels import ChannelSummary
@@ -80,7 +81,7 @@ def _compare(stated: StatedFigures, file: SessionFile, steps: list[ClockStep]) -
     found = {(each.kind, each.channel, each.type): each.messages for each in stated.streams}
     if found != expected:
         raise _Unlike(
-            f"figures: found {sum(found.values()):,} messages of {len(found)} streams, "
+            f"figures: found {sum(found.values()):,} messages of {count_text(len(found), 'stream')}, "
             f"the index has {expected.total():,} of {len(expected)}, or others"
         )
     jumped_ns = sum(step.jump_ns for step in steps)

@@ -167,7 +167,7 @@ def test_sources_that_are_no_files(shell: str, code: int, said: str, stream: Pat
     ("arguments", "code", "said"),
     [
         (["/tmp"], 2, "/tmp: Is a directory"),
-        (["/dev/zero"], 1, "offset 57942: found 1000 messages in a row of an unknown header version"),
+        (["/dev/zero"], 1, "offset 57942: found 1,000 messages in a row of an unknown header version"),
         (["{stream}", "-o", "{stream}"], 2, "which is the input, expected another file"),
         (["{stream}", "-o", "none/out"], 1, "cannot write to none/out: there is no folder none"),
         (["{stream}", "-o", "{stream.parent}/there"], 2, "exists already, expected a new file or --overwrite"),

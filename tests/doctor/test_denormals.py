@@ -33,7 +33,7 @@ def test_what_rclpy_sends_of_another_type_is_found(value: Any) -> None:
     message.transform.translation.y = value
     (finding,) = [one for one in judge(observed(serialization.serialize_message(message))) if one.rule.id[5] != "I"]
     assert finding.rule.id == "IGTL-W510" and finding.match.where == "/arm/pose"
-    assert finding.match.text.startswith("translation is ") and "1 of 1 messages of " + KIND in finding.match.text
+    assert finding.match.text.startswith("translation is ") and "1 of 1 message of " + KIND in finding.match.text
 
 
 def test_a_list_of_integers_becomes_numbers_in_rclpy() -> None:

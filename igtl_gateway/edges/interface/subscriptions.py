@@ -9,6 +9,7 @@ from dataclasses import asdict
 from typing import Generic, Protocol, TypeVar
 
 from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.edges.interface.reports import Reports, TopicCounts
 from igtl_gateway.edges.interface.side import OnMessage, Publication, Wants
 from igtl_gateway.gateway.log.note import Level
@@ -119,7 +120,7 @@ class Subscriptions(ABC, Generic[S]):
             if lost:
                 one.noted_lost += lost
                 why = "queue too short, the network, or a sender with little shared memory for large messages"
-                text = f"{one.topic}: {lost} messages lost before we took them ({why})"
+                text = f"{one.topic}: {count_text(lost, 'message')} lost before we took them ({why})"
                 self._reports.note(Level.WARN, "ros_lost", text, one.topic, {"lost": lost})
 
     def sync(self) -> None:

@@ -17,6 +17,7 @@ from typing import Any
 
 from igtl_gateway.base.errors import first_line
 from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.edges.interface import DISCOVERY_NS, Publishers, Reports
 from igtl_gateway.edges.ros import distributions
@@ -101,7 +102,8 @@ class Publishing(Publishers[TopicPublisher]):
     def _note_old(self, publisher: TopicPublisher) -> None:
         old, publisher.old = publisher.old, 0
         if old:
-            text = f"{publisher.topic}: {old} messages not sent, too old (max_age_s) before all subscribers matched"
+            lost = f"{count_text(old, 'message')} not sent"
+            text = f"{publisher.topic}: {lost}, too old (max_age_s) before all subscribers matched"
             self._reports.note(Level.WARN, "ros_held_old", text, publisher.topic, {"dropped": old})
 
     def native(self, topic: str, type_name: str) -> NativePublisher | None:

@@ -16,6 +16,7 @@ from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import first_line
 from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.edges.interface import TopicCounts
 from igtl_gateway.edges.ros.direct import RclPublisher, refusing_publisher
 from igtl_gateway.native.passage import Publisher as NativePublisher
@@ -272,7 +273,7 @@ class TopicPublisher:
         self.counts.published += published
         self.counts.unheard += unheard
         self.counts.failed += failed
-        return f"rcl refused {failed} messages" if failed else ""
+        return f"rcl refused {count_text(failed, 'message')}" if failed else ""
 
     def measure(self) -> None:
         """Take over how large the latched messages of the native passage were; for the keeper's thread."""

@@ -14,6 +14,7 @@ from functools import partial
 from typing import Any
 
 from igtl_gateway.base.errors import MessageTooLarge
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.edges.tcp.aside import Job
 from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife, NativeEnds
@@ -75,7 +76,9 @@ class RateLimit:
         self._pauses += pauses
         if is_first or now_ns - self._noted_ns >= NOTE_EVERY_S * NS_PER_S:
             self._noted_ns = now_ns
-            text = f"{self._link.peer} sends more than {rate:,} messages per second and is read at this rate"
+            text = (
+                f"{self._link.peer} sends more than {count_text(rate, 'message')} per second and is read at this rate"
+            )
             data = {"peer": self._link.peer, "limit": rate, "rests": self._pauses}
             self._context.reporter.note(self._link.number, Note(Level.WARN, "rate_limited", text, data=data))
 

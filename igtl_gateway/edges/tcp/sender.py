@@ -10,6 +10,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, suppress
 
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife, NativeEnds
 from igtl_gateway.edges.tcp.outbox import IOV_MAX, Outbox, Part, QueuedMessage
 from igtl_gateway.edges.tcp.reporter import NOTE_EVERY_S
@@ -304,7 +305,7 @@ class Sender:
             self._drops_noted = drops = box.drops
             peer, dropped = self._link.peer, dict(box.dropped)
             data = {"peer": peer, "dropped": dropped, "messages": box.messages, "bytes": box.bytes}
-        text = f"{peer} reads too slowly: {drops} messages dropped so far"
+        text = f"{peer} reads too slowly: {count_text(drops, 'message')} dropped so far"
         self._reporter.note(self._link.number, Note(Level.WARN, "queue_drop", text, data=data))
         self._loop.call_later(NOTE_EVERY_S, self.note_drops, self._link.failed)
 

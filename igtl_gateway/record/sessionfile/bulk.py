@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.errors import UnsupportedRecording
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.chunk_columns import Columns
 from igtl_gateway.record.sessionfile.chunks import packed_chunk
@@ -164,7 +165,7 @@ class ChunkReader:
                 yield block
         expected = sum(self._index.counts.get(number, 0) for number in wanted)
         if whole and count != expected:
-            raise Malformed(f"found {count} messages by the indexes of the chunks, expected {expected}")
+            raise Malformed(f"found {count_text(count, 'message')} by the indexes of the chunks, expected {expected}")
 
     def span(self, channels: Collection[int]) -> tuple[int, int]:
         """Times of the first and the last message of some MCAP channels; reads no message.  Raises as `blocks`."""

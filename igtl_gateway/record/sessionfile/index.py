@@ -20,6 +20,7 @@ from typing import IO
 from mcap.records import Statistics
 
 from igtl_gateway.base.errors import BeingRecorded, DamagedRecording, UnsupportedRecording
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.untrusted import files, limits
 from igtl_gateway.record.sessionfile import records
 from igtl_gateway.record.sessionfile.contents import ChunkEntry, Index, RecordPlace
@@ -96,7 +97,7 @@ def read_index(path: Path, stream: IO[bytes]) -> Index:
             if not _is_complete(index, statistics):
                 index = scan(path, stream, size, summary.data_end)
                 if statistics and statistics.message_count != (found := sum(index.counts.values())):
-                    raise Malformed(f"found {found} messages, expected {statistics.message_count}")
+                    raise Malformed(f"found {count_text(found, 'message')}, expected {statistics.message_count}")
             _check_chunks(index, summary.data_end)
         except NoEnd:
             raise _no_end_error(path, stream, size) from None
@@ -185,7 +186,7 @@ def _parse_summary(path: Path, size: int, data: bytes) -> tuple[Index, Statistic
         index.counts = statistics.channel_message_counts
         index.start_ns, index.end_ns = statistics.message_start_time, statistics.message_end_time
         if (found := sum(index.counts.values())) != statistics.message_count:
-            raise Malformed(f"found {found} messages by channel, expected {statistics.message_count}")
+            raise Malformed(f"found {count_text(found, 'message')} by channel, expected {statistics.message_count}")
     index.chunks.sort(key=attrgetter("at"))
     return index, statistics
 

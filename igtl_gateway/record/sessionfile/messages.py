@@ -11,6 +11,7 @@ import struct
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import DamagedRecording
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.stamp import NS_PER_S, ns_to_ros
 from igtl_gateway.base.untrusted.text import parse_json
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -288,5 +289,5 @@ def _get_string(view: memoryview, at: int) -> tuple[str, int]:
 def _get_links(view: memoryview, at: int) -> tuple[tuple[int, ...], int]:
     count, at = _get_u32(view, at)
     if 4 * count > view.nbytes - at:
-        raise LayoutError(f"offset {at}: found {view.nbytes - at} bytes, expected {count} links")
+        raise LayoutError(f"offset {at}: found {view.nbytes - at} bytes, expected {count_text(count, 'link')}")
     return struct.unpack_from(f"<{count}I", view, at), at + 4 * count

@@ -26,6 +26,7 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from rosbags.highlevel import AnyReader
 
 from igtl_gateway.base.errors import DamagedRecording, GatewayError, LimitExceeded
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.version import __version__
 from igtl_gateway.record.sessionfile import facts, layout
 from igtl_gateway.record.sessionfile.chunks import batches
@@ -402,7 +403,9 @@ def _check(place: Path, file: Salvage) -> Iterator[str]:
             f"{file.path}: what is readable is no file for the mcap library: {type(error).__name__}: {error}"
         ) from None
     if count != file.report.messages:
-        raise DamagedRecording(f"{file.path}: read {file.report.messages} messages, found {count} in the new file")
+        raise DamagedRecording(
+            f"{file.path}: read {count_text(file.report.messages, 'message')}, found {count} in the new file"
+        )
     if place.suffix == ".mcap":
         try:
             with AnyReader([place]) as bag:
