@@ -386,12 +386,11 @@ class Bridge:
             for note in self._silences.look(self.hub.now_ns(), self.gateway.guard.items()):
                 self.hub.note(note)
 
-    def _note_halt(self, halt_ns: int) -> None:
+    def _note_halt(self, halt_ns: int, most_ns: int) -> None:
         """Note that the bridge did not run for a while."""
-        halt_s = halt_ns / NS_PER_S
-        late = f"what came meanwhile was received up to {halt_s:.1f} s late"
-        text = f"the bridge did not run for {halt_s:.1f} s: {late}"
-        self.hub.note(Note(Level.WARN, HALTED, text, data={"late_ns": halt_ns}))
+        late = f"what came meanwhile was received up to {most_ns / NS_PER_S:.1f} s late"
+        text = f"the bridge did not run for {halt_ns / NS_PER_S:.1f} s: {late}"
+        self.hub.note(Note(Level.WARN, HALTED, text, data={"late_ns": most_ns}))
 
     def _present_sources(self) -> PresentSources:
         """Return the sources that are there; of ROS only if there is a graph."""

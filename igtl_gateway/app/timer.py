@@ -39,7 +39,7 @@ class Timer:
         each_second: called once a second, after a tick.
         least_ns: from a tick at which a deadline stays overdue to the next one.
         clock: the monotonic clock paces the looks.
-        halted: called with the time, ns, for which the bridge did not run.
+        halted: called with the times, ns, for which the bridge did not run, at least and at most.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class Timer:
         each_second: Callable[[], None],
         least_ns: int,
         clock: Clock,
-        halted: Callable[[int], None] = lambda _ns: None,
+        halted: Callable[[int, int], None] = lambda _late_ns, _most_ns: None,
     ) -> None:
         self._halted = halted
         self._tick = tick
@@ -91,7 +91,7 @@ class Timer:
 
     def _run(self) -> None:
         every_ns = _LOOK_NS if self._alarm.works else _BLIND_LOOK_NS
-        second_ns = expected_ns = self._clock.monotonic_ns()
+        second_ns = expected_ns = waited_ns = self._clock.monotonic_ns()
         while True:
             self._wake.clear()
             if self._stopping:
@@ -100,7 +100,7 @@ class Timer:
             due_ns = self._tick()
             begun_ns = self._clock.monotonic_ns()
             if (late_ns := begun_ns - expected_ns) >= HALT_NS:
-                self._halted(late_ns)
+                self._halted(late_ns, begun_ns - waited_ns)
             if begun_ns >= second_ns:
                 second_ns = begun_ns + NS_PER_S
                 self._each_second()
@@ -109,7 +109,8 @@ class Timer:
                 self._planned_ns = min(self._planned_ns, due_ns)
                 due_in_ns = due_ns - self._now_ns()
                 left_ns = min(left_ns, due_in_ns if due_in_ns > 0 else self._least_ns)
-            expected_ns = self._clock.monotonic_ns() + max(0, left_ns)
+            waited_ns = self._clock.monotonic_ns()
+            expected_ns = waited_ns + max(0, left_ns)
             self._wake.wait(max(0, left_ns) / NS_PER_S)
 
 

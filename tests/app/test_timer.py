@@ -124,7 +124,7 @@ def test_the_alarm_of_the_clock_is_silent_until_it_is_set() -> None:
 
 def test_that_the_bridge_did_not_run_is_found_when_it_goes_on() -> None:
     """A clock that jumps, as that of a process which was stopped for 3 s does for it."""
-    stopped_ns, late = [0], list[int]()
+    stopped_ns, late = [0], list[tuple[int, int]]()
 
     class Stopped(SystemClock):
         def monotonic_ns(self) -> int:
@@ -132,7 +132,9 @@ def test_that_the_bridge_did_not_run_is_found_when_it_goes_on() -> None:
 
     core = Core()
     each_second, clock = core.each_second, Stopped()
-    timer = Timer(core.tick, lambda: core.due_ns, CLOCK.utc_ns, each_second, 20 * NS_PER_MS, clock, late.append)
+    timer = Timer(
+        core.tick, lambda: core.due_ns, CLOCK.utc_ns, each_second, 20 * NS_PER_MS, clock, lambda *ns: late.append(ns)
+    )
     timer.start()
     try:
         core.wait(lambda: len(core.ticks) > 0)
@@ -144,4 +146,5 @@ def test_that_the_bridge_did_not_run_is_found_when_it_goes_on() -> None:
     finally:
         timer.stop()
     assert len(late) == 1
-    assert 2 * NS_PER_S <= late[0] < 4 * NS_PER_S
+    least_ns, most_ns = late[0]
+    assert 2 * NS_PER_S <= least_ns <= 3 * NS_PER_S <= most_ns
