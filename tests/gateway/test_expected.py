@@ -50,10 +50,10 @@ NAME_NO_SOURCE = frozenset(
     """config listen relay allow tls tls_cert tls_key tls_ca deny_in deny_out cautious max_clients queue_mib
     queue_messages max_body_mib max_body max_messages stall_s min_rate_kib idle_s kinds max_age_s publish_tf base_frame
     ros_unit igtl_unit stamp check_crc max_streams keep_mib latched_mib max_behind_s command_timeout_s record overwrite
-    file_mode record_all custom_data compression flush_interval fsync record_wait split_size split_duration snapshot
+    file_mode record_all custom_data outputs compression flush_interval fsync record_wait split_size split_duration
     seal retention on_record_failure video_codec video_bit_rate video_key_interval realtime_priority lock_memory
     cpu_affinity diagnostics watch metrics faults fault_seed upload upload_rate patience ros site site_budget
-    native no_native page page_address view""".split()
+    snapshot native no_native page page_address view""".split()
 )
 ROW_FIELDS = {
     "to_igtl": ("device", "type", "metadata"),
