@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from igtl_gateway.base.systems.processes import end_session as end_session
     from igtl_gateway.base.systems.processes import is_program as is_program
     from igtl_gateway.base.systems.processes import limit_data as limit_data
+    from igtl_gateway.base.systems.processes import lower_priority as lower_priority
     from igtl_gateway.base.systems.processes import stand_back as stand_back
     from igtl_gateway.base.systems.processes import ticks_per_second as ticks_per_second
     from igtl_gateway.base.systems.processes import usable_cpus as usable_cpus
@@ -35,7 +36,10 @@ HOMES: Homes = (
     ("base.addons", "ADDONS check_present is_present part_of"),
     # Other processes: their start, their end and their share of the host
     ("base.child", "Child report_facts"),
-    ("base.systems.processes", "KILL end_session is_program limit_data stand_back ticks_per_second usable_cpus"),
+    (
+        "base.systems.processes",
+        "KILL end_session is_program limit_data lower_priority stand_back ticks_per_second usable_cpus",
+    ),
     ("base.systems.signals", "endings_held ignore_endings"),
     # What programs of ROS need, before they start
     ("edges.ros_interfaces.cache", "make_ready"),

@@ -12,6 +12,7 @@ from igtl_gateway.addon import NS_PER_S, SystemClock, python_command
 from igtl_gateway.addon.processes import Child, is_present, part_of
 from igtl_gateway.addon.terminal import PROGRAM, PROGRESS, PROGRESS_VARIABLE
 from igtl_gateway.addons.page.recordings import child_environment
+from igtl_gateway.addons.page.starting import Start, directly
 
 #: Jobs at a time, jobs that are remembered, and lines of each.
 MAX_RUNNING, _MAX_KEPT, _LINES = 3, 40, 400
@@ -74,6 +75,7 @@ class Job:
         mark: size and time of change (ns) of the recording.
         command: words of the command line.
         on_end: called in the job's thread.
+        start: starts the process.
     """
 
     def __init__(
@@ -84,7 +86,9 @@ class Job:
         mark: tuple[int, int],
         command: list[str],
         on_end: Callable[[Job], None],
+        start: Start = directly,
     ) -> None:
+        self._start = start
         self.mark = mark
         self.number, self.action, self.name = number, action, name
         self._error, self._path = f"{PROGRAM} {command[0]}: ", f"{command[1]}: "  # begin of the line of an error
@@ -145,15 +149,17 @@ class Job:
             self.link = line.strip()
 
     def _run(self, command: list[str]) -> None:
-        """Start the process and wait for it: it ends with the thread that has started it."""
+        """Start the process and wait for it."""
         state = FAILED
         try:
-            child = Child(
-                "page-job",
-                [*python_command("igtl_gateway"), *command],
-                on_line=self._take,
-                on_error_line=self._take,
-                env=child_environment() | {"NO_COLOR": "1", "COLUMNS": _COLUMNS, PROGRESS_VARIABLE: "1"},
+            child = self._start(
+                lambda: Child(
+                    "page-job",
+                    [*python_command("igtl_gateway"), *command],
+                    on_line=self._take,
+                    on_error_line=self._take,
+                    env=child_environment() | {"NO_COLOR": "1", "COLUMNS": _COLUMNS, PROGRESS_VARIABLE: "1"},
+                )
             )
         except OSError as error:
             self._take(f"cannot be started: {error.strerror}")
@@ -174,8 +180,9 @@ class Job:
 class Jobs:
     """The jobs of a page; ``on_end`` is called with each that has ended, in a thread of its own."""
 
-    def __init__(self, on_end: Callable[[Job], None] = lambda job: None) -> None:
+    def __init__(self, on_end: Callable[[Job], None] = lambda job: None, start: Start = directly) -> None:
         self._on_end = on_end
+        self._start = start
         self._lock = threading.Lock()
         self._jobs: dict[int, Job] = {}
         self._number = 0
@@ -194,7 +201,7 @@ class Jobs:
             if len(running) >= MAX_RUNNING:
                 return False, f"{MAX_RUNNING} jobs run already; wait for one, or cancel it"
             self._number += 1
-            self._jobs[self._number] = Job(self._number, action, name, mark, words(path), self._on_end)
+            self._jobs[self._number] = Job(self._number, action, name, mark, words(path), self._on_end, self._start)
             for old in [job.number for job in self._jobs.values() if job.state != RUNNING][:-_MAX_KEPT]:
                 del self._jobs[old]
         return True, f"{action} of {name} has begun"

@@ -16,7 +16,7 @@ from typing import Any
 from igtl_gateway.addon import NS_PER_S, BeingRecorded, GatewayError, failure_text
 from igtl_gateway.addon.live import REPLAY_SIDES, ReplaySide, plan_replay
 from igtl_gateway.addon.notes import LINK_DOWN, LINK_UP, LOSSES, PAUSED, RESUMED
-from igtl_gateway.addon.processes import ignore_endings, stand_back
+from igtl_gateway.addon.processes import ignore_endings
 from igtl_gateway.addon.reading import Kind, Level, Note, SessionFile, marks_of, only_of_kinds, stated_seals
 
 #: Code of the note of messages that a slow peer did not get; those of an episode are no further apart than this, in
@@ -139,7 +139,6 @@ def _kind_of(note: Note) -> str:
 def main() -> None:
     """The process."""
     ignore_endings()
-    stand_back(10)
     for line in sys.stdin:
         path, wants_places = json.loads(line)
         found = places_of(Path(path)) if wants_places else facts_of(Path(path))

@@ -26,6 +26,7 @@ from igtl_gateway.addons.page.replays import Replay
 from igtl_gateway.addons.page.results import Results, keep_newest
 from igtl_gateway.addons.page.server import PageServer
 from igtl_gateway.addons.page.source import BridgeSource, Poller
+from igtl_gateway.addons.page.starting import Starters, directly
 
 #: Actions that are the bridge's.
 _BRIDGE = ("start", "stop", "pause", "resume", "mark", "snapshot", "split", "end")
@@ -45,15 +46,17 @@ class Page:
     Args:
         folder: of the recordings; None: there is none.
         source: the bridge; None: there is none.
+        starters: start processes; None: with the priority of this one.
     """
 
-    def __init__(self, folder: Path | None, source: BridgeSource | None) -> None:
+    def __init__(self, folder: Path | None, source: BridgeSource | None, starters: Starters | None = None) -> None:
+        work, replays = (starters.work, starters.replays) if starters else (directly, directly)
         self._clock = SystemClock()
         self._source = source
-        self.recordings = Recordings(folder) if folder else None
-        self.jobs = Jobs(self._take_result)
+        self.recordings = Recordings(folder, work) if folder else None
+        self.jobs = Jobs(self._take_result, work)
         self._results = Results(folder)
-        self.replay = Replay()
+        self.replay = Replay(replays)
         self._disk = DiskLook()
         self._now = Now()
         self._lock = threading.Lock()
@@ -310,12 +313,13 @@ def serve(page: Page, settings: dict[str, Any]) -> PageServer:
 def main() -> None:
     """The process."""
     ignore_endings()
+    starters = Starters()
     stand_back(10)
     settings = json.loads(sys.stdin.readline() or "null")
     if not settings:
         return
     folder = Path(settings["folder"]) if settings["folder"] else None
-    page = Page(folder, BridgeSource(settings["bridge"], settings["token"]))
+    page = Page(folder, BridgeSource(settings["bridge"], settings["token"]), starters)
     try:
         server = serve(page, settings)
     except GatewayError as error:

@@ -15,6 +15,7 @@ from igtl_gateway.addon import NS_PER_S, SystemClock, python_command
 from igtl_gateway.addon.processes import Child
 from igtl_gateway.addon.reading import marks_files
 from igtl_gateway.addons.page.results import keep_newest
+from igtl_gateway.addons.page.starting import Start, directly
 
 _COMMAND = python_command("igtl_gateway.addons.page.listing")
 #: Most recordings of the list, the newest; longest time for one at its first try, seconds (the next one has twice as
@@ -41,10 +42,12 @@ class Recordings:
 
     Args:
         folder: where the recordings are.
+        start: starts the process that reads them.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, start: Start = directly) -> None:
         self.folder = folder
+        self._start = start
         self._clock = SystemClock()
         self._lock = threading.Lock()
         self._placing = threading.Lock()
@@ -110,7 +113,7 @@ class Recordings:
         with self._placing:
             known, found = self._places.pop(name, (None, {}))
             if known != mark:
-                reader = _Reader()
+                reader = _Reader(self._start)
                 try:
                     found = reader.ask(self.folder / name, places=True)
                 finally:
@@ -132,7 +135,7 @@ class Recordings:
         return name, self._to_read[name], tries[name]
 
     def _read_all(self) -> None:
-        reader = _Reader()
+        reader = _Reader(self._start)
         while True:
             with self._lock:
                 self._begun_ns = self._clock.monotonic_ns() if self._to_read else 0
@@ -144,7 +147,7 @@ class Recordings:
             facts = reader.ask(self.folder / name, patience_s=_PATIENCE_S * 2**tries)
             if not reader.is_usable:  # it did not survive the file
                 reader.close()
-                reader = _Reader()
+                reader = _Reader(self._start)
             with self._lock:
                 self._tries.pop((name, version), None)
                 del self._to_read[name]
@@ -163,12 +166,14 @@ class _Reader:
         is_usable: whether it can be asked again.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, start: Start = directly) -> None:
         self._lines: deque[str] = deque()
         self._changed = threading.Condition()
         self._ended = False
         self.is_usable = True
-        self._child = Child("page-listing", _COMMAND, on_line=self._take, on_end=self._end, env=child_environment())
+        self._child = start(
+            lambda: Child("page-listing", _COMMAND, on_line=self._take, on_end=self._end, env=child_environment())
+        )
 
     def ask(self, path: Path, *, places: bool = False, patience_s: float = _PATIENCE_S) -> dict[str, Any]:
         """Return what it reads of a recording."""

@@ -14,6 +14,7 @@ from igtl_gateway.addon.live import REPLAY_SIDES
 from igtl_gateway.addon.processes import Child
 from igtl_gateway.addon.settings import address
 from igtl_gateway.addons.page.recordings import child_environment
+from igtl_gateway.addons.page.starting import Start, directly
 
 _COMMAND = python_command("igtl_gateway.addons.page.replaying")
 _LINES = 50
@@ -29,9 +30,14 @@ _STEERS: dict[str, tuple[float, float] | None] = dict.fromkeys(("play", "pause",
 
 
 class Replay:
-    """A replay."""
+    """A replay.
 
-    def __init__(self) -> None:
+    Args:
+        start: starts its process.
+    """
+
+    def __init__(self, start: Start = directly) -> None:
+        self._start = start
         self._lock = threading.Lock()
         self._child: Child | None = None
         self._name = self._to = ""
@@ -123,9 +129,13 @@ class Replay:
             self._child.close_input()
 
     def _run(self, settings: Mapping[str, Any], ready: threading.Event) -> None:
-        """Start the process and wait for it: it ends with the thread that has started it."""
+        """Start the process and wait for it."""
         try:
-            child = Child("page-replay", _COMMAND, on_line=self._take, on_error_line=self._say, env=child_environment())
+            child = self._start(
+                lambda: Child(
+                    "page-replay", _COMMAND, on_line=self._take, on_error_line=self._say, env=child_environment()
+                )
+            )
         except OSError as error:
             self._say(f"! cannot be started: {error.strerror}")
             ready.set()

@@ -9,6 +9,7 @@ from igtl_gateway.addon import ConfigError
 from igtl_gateway.addon.settings import address, values_with_effect
 from igtl_gateway.addon.terminal import print_line, stop_event
 from igtl_gateway.addons.page.process import Page, serve
+from igtl_gateway.addons.page.starting import Starters
 from igtl_gateway.addons.page.verb_options import OPTIONS
 
 
@@ -19,7 +20,7 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError(f"{folder}: found no directory, expected one with recordings")
     host, port = address(values["address"]) if values["address"] else ("127.0.0.1", 0)
     tls = (values["tls_cert"], values["tls_key"]) if values["tls_cert"] else None
-    page = Page(folder.absolute(), None)
+    page = Page(folder.absolute(), None, Starters())
     with stop_event() as stop:
         server = serve(page, {"host": host, "port": port, "allow": list(values["allow"]), "tls": tls})
         print_line(
