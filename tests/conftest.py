@@ -127,6 +127,7 @@ LONG_FILES = {
     "integration/test_hostile_crowds.py": "integration/test_hostile.py",
     "integration/test_page_person.py": "addons/page/test_server.py",
     "integration/test_page_views.py": "addons/page/test_process.py",
+    "integration/test_page_widths.py": "addons/page/test_now.py",
     "integration/test_zenoh_session.py": "addons/zenoh/test_site.py",
     "lab/bench/test_hop.py": "lab/bench/test_rounds.py",
     "lab/bench/test_native.py": "lab/bench/test_probe.py",

@@ -22,7 +22,7 @@ from pathlib import Path
 from igtl_gateway.addon.igtl import Message, Transform, encode, ns_to_ticks
 from igtl_gateway.cli import main as main_of_cli
 from tests.addons.page.browser import Browser
-from tests.integration.bridge import Bridge, RawPeer, environment
+from tests.integration.bridge import Bridge, RawPeer, environment, free_port
 from tests.places import FIXTURES, ROOT
 
 PICTURES = ROOT / "docs" / "pictures"
@@ -109,14 +109,27 @@ def _shoot(page: Browser, out: Path) -> None:
     shot("sessions")
     page.click("button.link", "kidney-07.mcap")
     page.click("button", "Replay …")
+    port = free_port()
+    page.run(f"place = '127.0.0.1:{port}'; draw()")
     page.click("#replay button", "Start")
     page.wait("document.querySelector('#replay .transport')?.textContent.includes('Pause')", 200)
     page.wait("document.querySelector('#replay .pause')", 100)
-    page.run("jump(7.5)")
-    time.sleep(3)
-    shot("replay")
-    page.look(_DESK, dark=True)
-    shot("replay-dark")
+    with RawPeer(port) as client:
+        reader = threading.Thread(target=_read, args=(client,), daemon=True)
+        reader.start()
+        page.run("jump(7.5)")
+        page.wait("/[1-9][0-9]+ messages sent/.test(document.querySelector('#replay').textContent)", 60)
+        time.sleep(3)
+        shot("replay")
+        page.look(_DESK, dark=True)
+        shot("replay-dark")
+
+
+def _read(client: RawPeer) -> None:
+    """Receive what a replay sends, until the connection is closed."""
+    with suppress(Exception):
+        while True:
+            client.receive(type_name="TRANSFORM")
 
 
 def _old(path: Path) -> None:

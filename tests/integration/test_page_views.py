@@ -49,6 +49,9 @@ class Facts:
         slow = {"kind": "slow", "at_s": 1.0, "end_s": 3.0, "text": "a:1 read too slowly: 9 messages did not reach it"}
         return {"places": [slow]}
 
+    def plot(self, name: str, key: str, field: str) -> dict[str, Any] | None:
+        return None
+
     def lines(self, job: int) -> list[str]:
         return []
 

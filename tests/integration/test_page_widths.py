@@ -128,6 +128,13 @@ class _Facts:
         slow = {"kind": "slow", "at_s": 100.0, "end_s": 300.0, "text": f"{_LONG} read too slowly: {_ADVICE}"}
         return {"places": [slow, {"kind": "finding", "at_s": 500.0, "text": _ADVICE}]}
 
+    def plot(self, name: str, key: str, field: str) -> dict[str, Any] | None:
+        streams = [f"TRANSFORM/{_LONG}", "/joints"]
+        fields = ["x_mm", "position.elbow"] if key != "/joints" else ["position.elbow"]
+        found = {"streams": streams, "stream": key or streams[0], "fields": fields, "field": field or fields[0]}
+        values = [None if at == 5 else at * 1.5 - 20 for at in range(30)]
+        return found | {"times": [25.0 * at for at in range(30)], "values": values, "every": 9, "messages": 268}
+
     def lines(self, job: int) -> list[str]:
         return [_ADVICE] * 3
 
@@ -178,11 +185,21 @@ def test_no_view_is_cut_at_any_width() -> None:
                         page.run("opened = 'a.mcap'; drawSessions()")
                     if view == "replay":
                         page.wait("document.querySelector('#replay .track .slow')")
+                        if not page.run("Boolean(document.querySelector('.plot'))"):
+                            page.click("#replay button", "Plot a number over time")
+                        page.wait("document.querySelector('.plot .curve').getAttribute('d').length > 100")
                     if _PICTURES:
                         page.picture(Path(_PICTURES) / f"{view}-{width}{'-dark' * dark}.png")
                     if found := page.run(_OVER):
                         over[f"{view} at {width} pixels"] = found
         assert over == {}
+        # another number, by its name; the line is broken where one is missing
+        choose = "(() => {{ const it = document.querySelector('[data-key=\"plot {}\"]'); it.value = '{}'; "
+        page.run(choose.format("stream", "/joints") + "it.dispatchEvent(new Event('change')) })()")
+        page.wait(
+            "document.querySelector('.plot').getAttribute('aria-label').startsWith('position.elbow of /joints: -20')"
+        )
+        assert page.run("document.querySelector('.plot .curve').getAttribute('d').split('M').length") == 3
         page.look((500, 1_000))
         page.press("1")
         tabs = "[...document.querySelectorAll('nav button')].every((each) => each.getBoundingClientRect().right <= 500)"

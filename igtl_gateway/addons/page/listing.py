@@ -1,7 +1,7 @@
 """The process that reads recordings for the list of the page: a bad file costs this process, not the page.
 
-``python -m igtl_gateway.addons.page.listing``: each line of its input has the path of a recording as JSON, and whether
-the places of its time line are wanted; each line of its output has the facts of the next one as JSON.
+``python -m igtl_gateway.addons.page.listing``: each line of its input has the path of a recording as JSON, and what is
+wanted of it; each line of its output has that of the next one as JSON.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Set
+from collections.abc import Callable, Set
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,8 @@ from igtl_gateway.addon.notes import LINK_DOWN, LINK_UP, LOSSES, PAUSED, RESUMED
 from igtl_gateway.addon.processes import ignore_endings
 from igtl_gateway.addon.reading import Kind, Level, Note, SessionFile, marks_of, only_of_kinds, stated_seals
 
+#: What is wanted of a recording: its row in the list, its time line, the numbers of a stream.
+FACTS, PLACES, PLOT = "facts", "places", "plot"
 #: Code of the note of messages that a slow peer did not get; those of an episode are no further apart than this, in
 #: seconds; streams that are named.
 _SLOW, _EPISODE_S, _SLOW_NAMED = "queue_drop", 5.0, 3
@@ -136,12 +138,21 @@ def _kind_of(note: Note) -> str:
     return "finding" if note.level >= Level.WARN else ""
 
 
+def _plot(path: Path, key: str) -> dict[str, Any]:
+    from igtl_gateway.addons.page.plots import plot_of  # here: the list does not wait for what tables need
+
+    return plot_of(path, key)
+
+
+_WANTED: dict[str, Callable[..., dict[str, Any]]] = {FACTS: facts_of, PLACES: places_of, PLOT: _plot}
+
+
 def main() -> None:
     """The process."""
     ignore_endings()
     for line in sys.stdin:
-        path, wants_places = json.loads(line)
-        found = places_of(Path(path)) if wants_places else facts_of(Path(path))
+        path, what, *more = json.loads(line)
+        found = _WANTED[what](Path(path), *more)
         data = json.dumps(found).encode() + b"\n"
         while data:
             data = data[os.write(1, data) :]

@@ -130,6 +130,10 @@ class Page:
         """Return what lies on the time line of a recording; None for an unknown one."""
         return self.recordings.places(name) if self.recordings else None
 
+    def plot(self, name: str, key: str, field: str) -> dict[str, Any] | None:
+        """Return numbers of a stream of a recording; None for an unknown one."""
+        return self.recordings.plot(name, key, field) if self.recordings else None
+
     def _take_result(self, job: Job) -> None:
         """Keep the result of a job, if its recording is as it was at the begin."""
         mark = self.recordings.mark(job.name) if self.recordings else None

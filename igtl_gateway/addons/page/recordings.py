@@ -14,6 +14,8 @@ from typing import Any
 from igtl_gateway.addon import NS_PER_S, SystemClock, python_command
 from igtl_gateway.addon.processes import Child
 from igtl_gateway.addon.reading import marks_files
+from igtl_gateway.addons.page.listing import FACTS, PLACES, PLOT
+from igtl_gateway.addons.page.plot_field import usual_field
 from igtl_gateway.addons.page.results import keep_newest
 from igtl_gateway.addons.page.starting import Start, directly
 
@@ -25,8 +27,8 @@ MAX_LISTED, _PATIENCE_S, _TRIES = 500, 30.0, 3
 _REST_NS = 3_000_000_000
 #: One that could not be read in time is tried again after this time, ns.
 _AGAIN_NS = 60_000_000_000
-#: Time lines that are kept.
-_MAX_PLACES = 16
+#: Time lines, and numbers of streams, that are kept.
+_MAX_PLACES, _MAX_PLOTS = 16, 4
 
 #: Size and time of change (ns) of a recording, and when marks were last added to it (ns).
 _Version = tuple[tuple[int, int], int]
@@ -52,6 +54,7 @@ class Recordings:
         self._lock = threading.Lock()
         self._placing = threading.Lock()
         self._places: dict[str, tuple[tuple[int, int], dict[str, Any]]] = {}  # of the last time lines
+        self._plots: dict[tuple[str, str], tuple[tuple[int, int], dict[str, Any]]] = {}  # of the last streams
         self._known: dict[str, tuple[_Version, dict[str, Any]]] = {}
         self._to_read: dict[str, _Version] = {}  # the first is being read
         self._reading = False
@@ -115,13 +118,37 @@ class Recordings:
             if known != mark:
                 reader = _Reader(self._start)
                 try:
-                    found = reader.ask(self.folder / name, places=True)
+                    found = reader.ask(self.folder / name, PLACES)
                 finally:
                     reader.close()
             if not found.get("unread"):  # else it is read again
                 self._places[name] = mark, found
             keep_newest(self._places, _MAX_PLACES)
             return found
+
+    def plot(self, name: str, key: str, field: str) -> dict[str, Any] | None:
+        """Return the numbers of a field of a stream, and the names of all; None for an unknown recording.
+
+        Args:
+            key, field: of the stream, and of the numbers; "": the first one.
+        """
+        mark = self.mark(name)
+        if mark is None:
+            return None
+        with self._placing:
+            known, found = self._plots.pop((name, key), (None, {}))
+            if known != mark:
+                reader = _Reader(self._start)
+                try:
+                    found = reader.ask(self.folder / name, PLOT, key)
+                finally:
+                    reader.close()
+            if not found.get("unread"):
+                self._plots[name, key] = mark, found
+            keep_newest(self._plots, _MAX_PLOTS)
+        fields = found.get("fields", {})
+        chosen = field if field in fields else usual_field(fields)
+        return found | {"fields": list(fields), "field": chosen, "values": fields.get(chosen, [])}
 
     def closed(self, name: str) -> None:
         """A recording was closed just now: what was read of it before is of no use, and it is not still changing."""
@@ -175,9 +202,9 @@ class _Reader:
             lambda: Child("page-listing", _COMMAND, on_line=self._take, on_end=self._end, env=child_environment())
         )
 
-    def ask(self, path: Path, *, places: bool = False, patience_s: float = _PATIENCE_S) -> dict[str, Any]:
+    def ask(self, path: Path, what: str = FACTS, *more: str, patience_s: float = _PATIENCE_S) -> dict[str, Any]:
         """Return what it reads of a recording."""
-        self._child.write(json.dumps([str(path), places]) + "\n")
+        self._child.write(json.dumps([str(path), what, *more]) + "\n")
         with self._changed:
             self._changed.wait_for(lambda: self._lines or self._ended, patience_s)
             line = self._lines.popleft() if self._lines else ""

@@ -24,7 +24,7 @@ _MAX_BYTES, _MAX_KEPT = 1 << 20, 2_000
 Mark = tuple[int, int]
 
 
-def keep_newest(found: dict[str, Any], most: int) -> None:
+def keep_newest(found: dict[Any, Any], most: int) -> None:
     """Forget what came first into a dictionary, beyond this number of keys."""
     while len(found) > most:
         del found[next(iter(found))]

@@ -29,6 +29,9 @@ class Fake:
     def sessions(self) -> list[dict[str, Any]]:
         return []
 
+    def plot(self, name: str, key: str, field: str) -> dict[str, Any] | None:
+        return {"name": name, "stream": key, "field": field}
+
     def places(self, name: str) -> dict[str, Any] | None:
         return None
 

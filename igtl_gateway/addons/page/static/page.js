@@ -564,6 +564,7 @@ function jobRow(job) {
 
 let chosen = "", from = 0, follows = false, placesOf = {}, target = "igtl listen", side = "", speed = "1", place = "";
 function choose(name, at) {
+  if (chosen !== name) plot = null;
   chosen = name; from = at || 0;
 }
 /* Asked again until there is an answer: a long recording takes its time. */
@@ -602,8 +603,50 @@ const HINTS = {
   ros: () => "All topics are published as they were recorded, in the ROS domain of this program; nodes that run there get them.",
   "both listen": (at) => `Topics are published as they were recorded, and clients connect to ${at}. What plays while none is connected reaches no client.`,
 };
+/* The plot of the chosen recording: null before a person asks for it, then what the program has read. */
+let plot = null, plotted = "", plotBusy = false;
+async function readPlot(stream, field) {
+  const name = chosen;
+  plotted = name; plotBusy = true; draw();
+  try {
+    const found = await (await fetch(`/api/plot?name=${encodeURIComponent(name)}&stream=${encodeURIComponent(stream)}&field=${encodeURIComponent(field)}`, { signal: AbortSignal.timeout(90000) })).json();
+    if (chosen === name) plot = found || { problem: "the recording is gone" };
+  } catch { if (chosen === name) plot = { ...(plot || {}), problem: "the numbers were not read in time" }; }
+  plotBusy = false;
+  draw();
+}
+/* Lines that end where a number is missing, or where nothing came for long. */
+function plotLine(times, values, duration, low, high) {
+  const steps = times.slice(1).map((each, at) => each - times[at]).sort((a, b) => a - b), most = Math.max(1, 5 * (steps[steps.length >> 1] || 0));
+  let text = "", before = -1e9;
+  times.forEach((each, at) => {
+    const value = values[at];
+    if (value == null) { before = -1e9; return; }
+    const x = (each / duration * 1000).toFixed(1), y = (high > low ? 205 - (value - low) / (high - low) * 190 : 110).toFixed(1);
+    text += `${each - before > most ? `M${x} ${y}h.01` : "L" + x + " " + y}`;
+    before = each;
+  });
+  return text;
+}
+function short(value) { return Math.abs(value) >= 1e6 || (value && Math.abs(value) < 1e-3) ? value.toExponential(3) : number(value, Math.abs(value) >= 100 ? 1 : 3); }
+function drawPlot(at, row, duration, position) {
+  const mine = plotted === row.name ? plot : null, busy = plotBusy && plotted === row.name;
+  part(at, [row.name, mine && [mine.stream, mine.field, mine.streams, mine.problem, mine.times?.length], busy, duration], () => {
+    if (!mine) return card("Plot", null, h("div.body", null, busy ? [h("p.wait", null, "The numbers are being read."), bar("Reading", NaN)] : h("div.actions", null, h("button.btn", { type: "button", "data-key": "plot", disabled: row.recording ? true : null, onclick: () => readPlot("", "") }, "Plot a number over time"), h("span.sub", null, "any number of any stream, by its name"))));
+    const values = mine.values || [], known = values.filter((each) => each != null), low = Math.min(...known), high = Math.max(...known);
+    const select = (title, key, all, now, change) => h("label.field", null, h("span", null, title), h("select", { "data-key": key, disabled: busy ? true : null, onchange: (event) => change(event.target.value) }, all.map((each) => h("option", { value: each, selected: each === now }, each))));
+    return card("Plot", mine.every > 1 ? `one in ${number(mine.every)} of ${count(mine.messages, "message")}` : mine.messages ? count(mine.messages, "message") : null, h("div.body", null,
+      h("div.form.fields", null, select("Stream", "plot stream", mine.streams || [], mine.stream, (each) => readPlot(each, "")), select("Number", "plot field", mine.fields || [], mine.field, (each) => readPlot(mine.stream, each))),
+      busy ? bar("Reading", NaN) : null,
+      mine.problem ? h("p.sends.s-warning", null, sentence(mine.problem)) : null,
+      known.length ? h("div.plot", { role: "img", "aria-label": `${mine.field} of ${mine.stream}: ${short(low)} to ${short(high)}` }, h("span.high", null, short(high)), h("span.low", null, short(low)),
+        svg("svg", { viewBox: "0 0 1000 220", preserveAspectRatio: "none", "aria-hidden": "true" }, svg("path", { class: "curve", d: plotLine(mine.times, values, duration, low, high) }), svg("path", { class: "now", d: "" })),
+        h("div.times", null, h("span", null, moment(0)), h("span", null, mine.field), h("span", null, moment(duration)))) : h("p.empty", null, busy ? "Reading …" : "This stream has no numbers.")));
+  });
+  at.querySelector(".plot .now")?.setAttribute("d", `M${(position / duration * 1000).toFixed(1)} 0V220`);
+}
 function drawReplay() {
-  const at = places($("replay"), "head", "choice", "player", "below"), replay = state.replay, running = replay?.running;
+  const at = places($("replay"), "head", "choice", "player", "plot", "below"), replay = state.replay, running = replay?.running;
   if (running && chosen !== replay.name) choose(replay.name);
   if (running) follows = true;
   else if (follows) { follows = false; if (chosen === replay?.name) from = replay.state.position_s ?? from; }
@@ -626,15 +669,18 @@ function drawReplay() {
     at.player._track = null;
     part(at.player, sessions == null, () => h("div.card", null, h("p.empty", null, sessions == null ? "Reading the folder …" : "No recording can be replayed yet. Record one, or start the page in a folder that has some.")));
     part(at.below, null, () => []);
+    part(at.plot, null, () => []);
     return;
   }
   drawPlayer(at.player, row, length, playing, replay);
   if (row.duration_s == null) {
+    part(at.plot, null, () => []);
     at.below._track = null;
     part(at.below, null, () => []);
     return;
   }
   readPlaces(row.name);
+  drawPlot(at.plot, row, Math.max(length ?? 0, 1e-3), playing?.position_s ?? from);
   drawBelow(at.below, row, replay, running);
 }
 /* What is sent of a recording, in words. */
