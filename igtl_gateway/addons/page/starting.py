@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from igtl_gateway.addon.processes import Child, lower_priority
 
 #: Niceness of a replay, whose messages go out in time; and of work and of the reader of the list, which take a quarter
-#: of a processor where one other program wants all of it.
+#: of a processor where one other program needs all of it.
 REPLAYS, WORK = 0, 5
 
 #: Starts a process, as the function that it gets does.  Raises as that.
