@@ -39,7 +39,7 @@ EXAMPLES = """\
   # with the lag of a stream behind another one
   igtl-gateway view out.mcap --sync TRANSFORM/Probe IMAGE/Video
   # with any numbers by their names in CSV, in plots of their own
-  igtl-gateway view out.mcap --plot TRANSFORM/Tool.z_mm \
+  igtl-gateway view out.mcap --plot TRANSFORM/Tool.z_mm \\
       --plot /joint_states.position[0]
   # with a robot, if the session has no /robot_description; two arms
   igtl-gateway view out.mcap --urdf psm.urdf
