@@ -22,8 +22,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 #: Words that persons wrote in README.md and below docs/, at most; and those of the site.
-MAX_WRITTEN = 68_000
-MAX_SITE = 46_000
+MAX_WRITTEN = 67_500
+MAX_SITE = 45_000
 MAX_README_LINES = 120
 
 _OF_TOOLS = re.compile(r"<!-- (generated|measured) by ([\w./-]+)[^>]*-->(.*?)(?:<!-- end of \2[^>]*-->|\Z)", re.DOTALL)
