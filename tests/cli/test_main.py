@@ -305,7 +305,7 @@ def test_limits_are_lowered_and_raised_for_each_verb(
     assert "--limit" not in err and code in (0, 1)
 
 
-@table("name", ["a.mha", "a.nrrd", "a.nii", "a.bag", "a.mcap", "a.pcap", "a.igtl", "a.db3"])
+@table("name", ["a.mha", "a.nrrd", "a.nii", "a.bag", "a.mcap", "a.pcap", "a.db3"])
 def test_limits_of_an_import(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, hello = tmp_path / name, raw(b"STRING", b"A", b"\0\3\0\1x")
     contents: dict[str, Callable[[], bytes]] = {
@@ -315,7 +315,6 @@ def test_limits_of_an_import(name: str, tmp_path: Path, capsys: pytest.CaptureFi
         "a.bag": bags.bag1,
         "a.mcap": foreign.bag,
         "a.pcap": lambda: streams.talk(hello),
-        "a.igtl": lambda: hello * 2,
     }
     if name in contents:
         path.write_bytes(contents[name]())

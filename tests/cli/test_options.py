@@ -32,7 +32,7 @@ def parser(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> a
     """The complete parser of a verb, on a terminal with 80 columns."""
     monkeypatch.setenv("COLUMNS", str(COLUMNS))
     verb = available()[request.param]
-    made = argparse.ArgumentParser(f"igtl-gateway {verb.now or request.param}", formatter_class=HelpFormatter)
+    made = Parser(f"igtl-gateway {verb.now or request.param}", formatter_class=HelpFormatter)
     complete(made, verb)
     return made
 

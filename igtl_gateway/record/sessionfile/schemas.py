@@ -27,6 +27,7 @@ from rosbags.typesys.base import TypesysError
 from igtl_gateway.base.errors import RecordingError
 from igtl_gateway.base.untrusted import definitions, files
 from igtl_gateway.base.untrusted.dialects import IDL, MSG, RULE
+from igtl_gateway.base.untrusted.limits import FileLimits, limits_in_force
 from igtl_gateway.convert.interfaces import SHARES
 from igtl_gateway.record.sessionfile.definition import Definition
 from igtl_gateway.record.sessionfile.layout import OWN_TYPES
@@ -53,8 +54,9 @@ class RosTypes:
         self._types = dict(get_typestore(Stores.ROS2_JAZZY).fielddefs)
         self._shares = (*installed_shares(), *SHARES) if shares is None else tuple(shares)
         self._found: dict[str, Definition | None] = {}
-        for name, text in OWN_TYPES.items():
-            self._types |= definitions.parse_definition(text, name)
+        with limits_in_force(FileLimits()):  # a user's limits are of the file that is read, these are our own
+            for name, text in OWN_TYPES.items():
+                self._types |= definitions.parse_definition(text, name)
 
     def find(self, ros_type: str) -> Definition | None:
         """The definition of ``package/msg/Name``, or of the feedback of an action; None where it is not complete."""

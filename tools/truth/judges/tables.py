@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,26 @@ def of_table(table: Any) -> Iterator[Sample]:
     facts = table.schema.metadata or {}
     stream = f"{facts.get(b'direction', b'').decode()}:{facts.get(b'stream', b'').decode()}"
     for number, row in enumerate(table.to_pylist()):
-        yield from of_row(row, stream, number)
+        yield from of_row(_of_fields(row, table.schema), stream, number)
+
+
+def _of_fields(row: dict[str, Any], fields: Iterable[Any]) -> dict[str, Any]:
+    """Cells under the names in CSV, which the metadata of a field have where it is another one; times in ns."""
+    found = {}
+    for field in fields:
+        name = (field.metadata or {}).get(b"field", field.name.encode()).decode()
+        found[name] = _of_type(row[field.name], field.type)
+    return found
+
+
+def _of_type(value: Any, kind: Any) -> Any:
+    if value is None:
+        return None
+    if pyarrow.types.is_timestamp(kind):
+        return value.value
+    if pyarrow.types.is_struct(kind):
+        return _of_fields(value, kind)
+    return [_of_type(each, kind.value_type) for each in value] if pyarrow.types.is_list(kind) else value
 
 
 def cohort_streams(folder: Path) -> list[dict[str, Any]]:
