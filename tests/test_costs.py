@@ -24,7 +24,7 @@ from tests.tables import table
 #: Calls of a message beside those for its parts: caches that are filled, libraries that are prepared.
 _SPARE = 8_000
 #: Calls with the sequence lock: about three milliseconds, of the tools of MAX_TOOLS, each of which gets its frame.
-_WITH_LOCK = 35_000
+_WITH_LOCK = 40_000
 
 
 def calls(work: Callable[[], object]) -> int:

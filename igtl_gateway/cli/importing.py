@@ -9,7 +9,6 @@ from pathlib import Path
 
 from igtl_gateway.base.addons import is_present, part_of
 from igtl_gateway.base.errors import GatewayError
-from igtl_gateway.record.sessionfile.records import MAGIC
 
 #: Words of the errors about files and directories that this program has not recorded.
 _NO_MCAP, _OTHERS, _FOLDER = "not an MCAP file", "of another program", "found a directory"
@@ -22,7 +21,7 @@ def import_hint(error: GatewayError, options: argparse.Namespace) -> str:
     if getattr(options, "verb", "") == "import" or not is_present("exchange"):
         return text
     for path in _paths(options):
-        if str(path) not in text or not path.exists():
+        if f"{path}:" not in text or not path.exists():
             continue
         what = part_of("exchange", "formats:what_to_import")(path)
         if not what or (_is_mcap(path) and _OTHERS not in text):
@@ -47,6 +46,8 @@ def _paths(options: argparse.Namespace) -> Iterator[Path]:
 
 def _is_mcap(path: Path) -> bool:
     """Return whether a file begins as MCAP does, from any program."""
+    from igtl_gateway.record.sessionfile.records import MAGIC  # here: no help needs it
+
     try:
         with path.open("rb") as stream:
             return stream.read(len(MAGIC)) == MAGIC

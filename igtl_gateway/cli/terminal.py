@@ -24,6 +24,7 @@ from igtl_gateway.base.errors import OutputError
 from igtl_gateway.base.near import did_you_mean, near_names
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.systems.service import INFO, WARNING, is_journal
+from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.base.untrusted.text import json_line, printable
 from igtl_gateway.cli.layout import table, wrapped
 
@@ -164,7 +165,7 @@ def columns(error: bool = False, *, log: bool = False) -> int:
     if is_journal(stream):
         return 0
     stated = os.environ.get("COLUMNS", "")
-    found = int(stated) if stated.isdecimal() else 0
+    found = whole_number(stated) or 0
     if not found and stream.isatty():
         with suppress(OSError, ValueError):  # an imitation of a terminal
             found = os.get_terminal_size(stream.fileno()).columns

@@ -522,8 +522,8 @@ _RECORDING = (
     ),
     Setting(
         "compression",
-        "auto",
-        "compression by stream: auto has zstd for pictures and lz4 for the rest; what does not shrink stays as it is",
+        "lz4",
+        "compression of chunks; auto: by stream, zstd for pictures; what does not shrink is stored uncompressed",
         choices=("auto", "none", "lz4", "zstd"),
         needs=("record",),
     ),

@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
+from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.convert.names import AS_PLUS, MAX_DEVICE_NAME, frame_token
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.client_info import ClientInfo
@@ -33,8 +34,6 @@ _NAMES = {"TRANSFORM": _POSE, "POSITION": _POSE, "IMAGE": _PICTURE}
 _FRAME, _FRAME_BEFORE = re.compile(r"[0-9]*[A-Z].*|[A-Za-z].*", re.DOTALL), re.compile(r"[A-Za-z][A-Za-z0-9]*")
 #: A transform of a tracked frame in the metadata of a picture: each has the frames of its name.
 _FIELD = re.compile(r"([^\n]+?)To([A-Z0-9][^\n]*?)Transform(?:Status)?")
-#: Digits of the place of a tool, at most.
-_DIGITS = 4
 _REPLY_DEVICE = re.compile(r"ACK_[0-9]{1,10}")
 
 
@@ -71,9 +70,9 @@ def whole_tool_names(names: Sequence[str], items: Iterable[tuple[str, str]]) -> 
     whole = list(names)
     for key, value in items:
         name = key.removesuffix("Index")
-        place = int(value) if name != key and value.isdecimal() and len(value) <= _DIGITS else len(whole)
+        place = whole_number(value, len(whole) - 1) if name != key else None
         if (
-            place < len(whole)
+            place is not None
             and len(name.encode()) > MAX_DEVICE_NAME
             and cut_text(name, MAX_DEVICE_NAME) == names[place]
         ):

@@ -60,6 +60,7 @@ class NewFiles:
             self.session | more,
             qos_of=self._qos_of,
             compression=options.compression,
+            together=True,
             chunk_bytes=options.chunk_bytes,
             fsync=options.fsync,
             overwrite=options.overwrite,

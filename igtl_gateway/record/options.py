@@ -64,7 +64,7 @@ class RecordOptions:
         retention: which recordings in the folder of this one are deleted; None: none.
     """
 
-    compression: Compression = "auto"
+    compression: Compression = "lz4"
     chunk_bytes: int = CHUNK_BYTES
     outputs: Outputs = "full"
     flush_s: float = FLUSH_S

@@ -21,8 +21,7 @@ from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway_lab.cli.simulate_run import scenario_facts
-from tests.integration.hostile_cases import raw
-from tests.integration.hostile_files import bags, foreign, images, streams
+from tests.integration.hostile_files import bags, foreign, images
 from tests.places import ROOT
 from tests.tables import table
 
@@ -305,16 +304,15 @@ def test_limits_are_lowered_and_raised_for_each_verb(
     assert "--limit" not in err and code in (0, 1)
 
 
-@table("name", ["a.mha", "a.nrrd", "a.nii", "a.bag", "a.mcap", "a.pcap", "a.db3"])
+@table("name", ["a.mha", "a.nrrd", "a.nii", "a.bag", "a.mcap", "a.db3"])
 def test_limits_of_an_import(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path, hello = tmp_path / name, raw(b"STRING", b"A", b"\0\3\0\1x")
+    path = tmp_path / name
     contents: dict[str, Callable[[], bytes]] = {
         "a.mha": images.mha,
         "a.nrrd": images.nrrd,
         "a.nii": images.nifti,
         "a.bag": bags.bag1,
         "a.mcap": foreign.bag,
-        "a.pcap": lambda: streams.talk(hello),
     }
     if name in contents:
         path.write_bytes(contents[name]())

@@ -86,7 +86,7 @@ def test_a_rotated_key_is_trusted_by_those_who_trust_the_old_one(
     [
         (["verify", SOURCE, "--trusted", "x"], "--trusted: found no --seal"),
         (["verify", SOURCE, "--seal", "--all"], "--seal: found --config or --all"),
-        (["seal", "keys", "rotate", "x"], "keys rotate: found 1 files, expected two files"),
+        (["seal", "keys", "rotate", "x"], "keys rotate: found 1 file, expected two files"),
         (["seal", "keys", "new", "x", "y"], "keys new: found 2 files"),
         (["seal", SOURCE, "--key", "none", "-o", "x"], "key none: No such file"),
         (["bridge", "--seal", "x"], "--seal: found no --record FILE"),

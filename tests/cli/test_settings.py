@@ -89,6 +89,7 @@ WITHOUT_EFFECT = {
     "upload": "--upload s3://bucket",
     "upload_rate": "--upload-rate 3",
     "record_wait": "--record-wait",
+    "outputs": "--outputs digest",
     "on_record_failure": "--on-record-failure stop",
     "video_codec": "--no-ros --video-codec h264",
     "video_bit_rate": "--video-bit-rate 100",

@@ -10,7 +10,7 @@ from tests.tables import table
 
 def test_the_defaults_that_are_documented() -> None:
     options = RecordOptions()
-    assert (options.flush_s, options.fsync, options.compression) == (0.5, "never", "auto")
+    assert (options.flush_s, options.fsync, options.compression) == (0.5, "never", "lz4")
     assert (options.queue_bytes, options.queue_entries, options.snapshot_bytes) == (256 << 20, 200_000, 512 << 20)
     assert (options.file_mode, options.overwrite, options.stop_on_failure) == (0o600, False, False)
 

@@ -695,6 +695,7 @@ import json, os, resource, sys, threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import Selection
 from tests.record import samples
@@ -706,7 +707,8 @@ def on_note(note):
         notes.append(note.code)
         failed.set()
 path, clock = Path(sys.argv[1]), SystemClock()
-recorder = Recorder(path, samples.SESSION, qos_of=lambda topic, type: None, on_note=on_note, clock=clock)
+given = dict(on_note=on_note, clock=clock, options=RecordOptions(flush_s=0.001))  # what was flushed stays
+recorder = Recorder(path, samples.SESSION, qos_of=lambda topic, type: None, **given)
 (worker,) = workers(os.getpid())
 resource.prlimit(worker, resource.RLIMIT_FSIZE, (4_000_000, 4_000_000))
 seq = 0

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+import string
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -47,7 +48,7 @@ _LARGE = 4096
 def sql_name(name: str) -> str:
     """Return a name as SQL takes it without quotes."""
     plain = _STRANGE.sub("_", name).strip("_") or "field"
-    if plain[0].isdigit():
+    if plain[0] in string.digits:
         plain = f"n{plain}"
     return f"{plain}_" if plain.lower() in RESERVED else plain
 

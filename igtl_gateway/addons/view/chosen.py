@@ -19,10 +19,12 @@ import pyarrow.compute as pc
 from igtl_gateway.addon import ConfigError, did_you_mean, near_names, near_streams
 from igtl_gateway.addon.reading import Recording, Stream
 from igtl_gateway.addon.streams import NAME_FIELDS
+from igtl_gateway.addon.untrusted import whole_number
 from igtl_gateway.addons.view.rhythm import Rhythm
 
 #: Curves of one field that is a list; fields that a message names.
 _MOST, _NAMED = 16, 12
+_MOST_PLACE = 99_999_999
 #: Columns that are of every message, and no field.
 _HEAD = frozenset({"entry", "time_ns", "source_ns"})
 _PLACE = re.compile(r"\[([^\[\]]*)\]")
@@ -95,8 +97,8 @@ def _inside(array: pa.Array, parts: list[str], name: str, names: pa.Array | None
         return _inside(pc.struct_field(array, [place]), parts[1:], name, None) if place >= 0 else {}
     if not (pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind)):
         return {}
-    if parts and parts[0].isdecimal() and len(parts[0]) < 9:
-        return _inside(_element(array, int(parts[0])), parts[1:], name, None)
+    if parts and (place := whole_number(parts[0], _MOST_PLACE)) is not None:
+        return _inside(_element(array, place), parts[1:], name, None)
     if parts and names is not None:
         return {name: _by_name(array, names, ".".join(parts))} if _is_number(kind.value_type) else {}
     if parts or not _is_number(kind.value_type) or not len(array):

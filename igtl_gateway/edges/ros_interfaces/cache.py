@@ -126,7 +126,11 @@ def compile_missing() -> None:
 
 def missing_packages() -> list[str]:
     """Return the packages that are to be compiled here."""
-    if find_spec(_WHEEL_MODULE) is None:
+    try:
+        is_ros = find_spec(_WHEEL_MODULE) is not None and find_spec("rclpy") is not None
+    except ImportError:
+        is_ros = False
+    if not is_ros:
         return []
     folders = cache_folders()
     return [package for package in PACKAGES if not is_installed(package) and find(package, folders) is None]

@@ -8,8 +8,9 @@ How a large message is stored is decided by stream, while it is recorded, from s
 
 - Where several large chunks of a stream in a row hardly shrink, the next ones are stored uncompressed, and from time to
   time one is tried again.
-- ``auto`` and ``zstd`` have chunks that continue behind a large message, because an input and its outputs have much in
-  common: of three copies, one remains.  For real ultrasound that is a quarter of what lz4 leaves, and less work.
+- In the files of a recorder, ``auto`` and ``zstd`` have chunks that continue behind a large message, because an input
+  and its outputs have much in common: of three copies, one remains.  For real ultrasound that is a quarter of what lz4
+  leaves, and less work.
 - ``auto`` has lz4 for small messages, and for large ones while more of them come in a second than the recorder has time
   for with zstd.  One chunk in 32 of a stream is compressed at two levels: the slower one is for what it makes a quarter
   smaller, such as ultrasound, and the fast one finds copies at the speed of raw bytes, such as those of speckle.
@@ -17,6 +18,7 @@ How a large message is stored is decided by stream, while it is recorded, from s
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import IO, Any
@@ -58,9 +60,9 @@ _LARGE = 4
 _OF_ONE_NS = 100
 #: A chunk with large messages may be larger by this, until the next input: an input and its outputs are in one.
 _WITH_LARGE = 8
-#: Compressed size, relative to the uncompressed one, from which on compression is not worth its time; with zstd, for
-#: which size comes first.
-_POOR, _POOR_ZSTD = 0.75, 0.98
+#: Compressed size, relative to the uncompressed one, from which on compression is not worth its time: small for
+#: ``auto``, which compares two levels by it, too; large for zstd, for which size comes first.
+_POOR = {"lz4": 0.9, "auto": 0.75, "zstd": 0.98}
 #: Levels of zstd for large messages, the fast one first.  Level 3 leaves 1 to 5 % less of ultrasound than level 2, and
 #: takes 1.5 times as long.
 _LEVELS: dict[str, tuple[int, ...]] = {"auto": (-5, 2), "zstd": (3,)}
@@ -81,6 +83,7 @@ class McapStream:
         file: takes the bytes; it is not closed here.
         chunk_bytes: size at which a chunk ends.
         compression: of the chunks.
+        together: with ``auto`` and ``zstd``, an input and its large outputs are in one chunk.
         sealer: seals what is written, at each flush and at the end.
     """
 
@@ -90,6 +93,7 @@ class McapStream:
         *,
         chunk_bytes: int = CHUNK_BYTES,
         compression: Compression,
+        together: bool = False,
         sealer: Sealer | None = None,
     ) -> None:
         #: Called with each chunk that is not copied, and the end of its last message.
@@ -99,9 +103,9 @@ class McapStream:
         self._file = file
         self._sealer = sealer
         self._chunk_bytes = chunk_bytes
-        self._large = chunk_bytes // _LARGE
+        self._large = sys.maxsize if compression == "zstd" and not together else chunk_bytes // _LARGE
         self._compression = compression
-        self._zstd = [picture_compressor(level) for level in _LEVELS.get(compression, ())]
+        self._zstd = [picture_compressor(level) for level in _LEVELS.get(compression, ())] if together else []
         self._judged: dict[int, int] = {}  # chunks until the levels are compared again, by channel
         self._slower: dict[int, bool] = {}  # whether a channel is worth the slower level
         self._large_ns = 0  # log time of the last large message
@@ -411,10 +415,11 @@ class McapStream:
         if self._zstd and (self._held or self._compression == "zstd"):
             name, packed = "zstd", (self._with_zstd(plain),)
         else:
-            name, packed = "lz4", compress("lz4", plain, size)
-        if size < self._large or not (self._held or rest or name == "lz4"):
+            name = "zstd" if self._compression == "zstd" else "lz4"
+            packed = compress(name, plain, size)
+        if size < self._large or (self._zstd and not (self._held or rest or name == "lz4")):
             return name, packed
-        is_small = sum(map(len, packed)) <= size * (_POOR_ZSTD if self._compression == "zstd" else _POOR)
+        is_small = sum(map(len, packed)) <= size * _POOR[self._compression]
         for one in channels:
             self._poor[one] = 0 if is_small else min(self._poor.get(one, 0) + 1, _TRIES)
         return (name, packed) if is_small else ("", plain)
@@ -431,7 +436,7 @@ class McapStream:
         if all(self._judged[one] >= 0 for one in channels):
             return (slow if any(self._slower[one] for one in channels) else fast).compress(data)
         quick, small = fast.compress(data), slow.compress(data)
-        is_worth_it = len(small) <= len(quick) * _POOR
+        is_worth_it = len(small) <= len(quick) * _POOR[self._compression]
         for one in channels:
             self._judged[one], self._slower[one] = _UNCOMPRESSED, is_worth_it
         return small if is_worth_it else quick

@@ -68,6 +68,7 @@ class SessionWriter:
         qos_of: QoS of a ROS topic (name, type), None where it is not known.
         definition_of: definition of a ROS type, None where it is not known; it has precedence over other sources.
         compression: of the chunks.
+        together: see ``McapStream``.
         chunk_bytes: size at which a chunk is closed.
         fsync: when written data are forced to the disk.
         overwrite: replace an existing file instead of refusing it.
@@ -90,6 +91,7 @@ class SessionWriter:
         qos_of: QosOf = lambda _topic, _type: None,
         definition_of: DefinitionOf = lambda _type: None,
         compression: Compression = "lz4",
+        together: bool = False,
         chunk_bytes: int = CHUNK_BYTES,
         fsync: Fsync = "never",
         overwrite: bool = False,
@@ -132,7 +134,9 @@ class SessionWriter:
         self._left_out = 0  # large outputs that are not to be here
         with replaced(path) if overwrite and os.path.lexists(path) else nullcontext(path) as place:
             self._file = memory or create_file(place)
-            self._mcap = McapStream(self._file, chunk_bytes=chunk_bytes, compression=compression, sealer=sealer)
+            self._mcap = McapStream(
+                self._file, chunk_bytes=chunk_bytes, compression=compression, together=together, sealer=sealer
+            )
             try:
                 self._start(session, before)
                 if counted:

@@ -108,6 +108,8 @@ _DIGITS = {
 #: Module → regular expressions with digits without end, whose group is not converted.
 _ENDLESS = {
     "addons/cohort/loading.py": "the names of open files",
+    "addons/cohort/report.py": "names, for their order",
+    "convert/plus_signs.py": "names of frames",
     "doctor/host_facts.py": "globs of names of files",
     "addons/resim/processes.py": "a glob of names of files",
     "addons/zenoh/library.py": "lines of a library",

@@ -34,7 +34,7 @@ def chunks(
     before message ``cut``.
     """
     file = BytesIO()
-    stream = McapStream(file, chunk_bytes=CHUNK_BYTES, compression=compression)
+    stream = McapStream(file, chunk_bytes=CHUNK_BYTES, compression=compression, together=True)
     stream.start("", "")
     schema = stream.register_schema("S", "", b"")
     for number in range(1, 4):
