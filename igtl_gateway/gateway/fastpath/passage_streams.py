@@ -390,7 +390,7 @@ class PassageStreams:
             if latest:
                 seq, stamp_ns, source_ns, cdr, _ = latest
                 for peer in compiled.peers:
-                    peer.last_sent_ns = stamp_ns
+                    peer.last_sent_ns = max(peer.last_sent_ns, stamp_ns)  # streams are collected in any order
                     peer.sent += received
                 compiled.latest[copy.channel] = Entry(
                     seq, stamp_ns, Kind.ROS_IN, copy.channel, copy.ros_type, (cdr,), (), source_ns
