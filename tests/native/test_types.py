@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import socket
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -29,6 +29,14 @@ MADE: dict[str, Callable[[], Any]] = {
     "Publisher": lambda: Publisher(0, True),
     "Subscription": lambda: Subscription(Passage(), 0),
 }
+
+
+@pytest.fixture(autouse=True)
+def few_objects() -> Iterator[None]:
+    """Leave what other tests have made out of the collections, which take minutes of a process of gigabytes."""
+    gc.freeze()
+    yield
+    gc.unfreeze()
 
 
 @table("name", list(MADE))
