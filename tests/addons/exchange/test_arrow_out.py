@@ -21,14 +21,13 @@ from igtl_gateway.addons.exchange import arrow_out
 from igtl_gateway.addons.exchange.arrow_names import DatabaseColumns, sql_name
 from igtl_gateway.addons.exchange.targets import export_to
 from igtl_gateway.api.arrow_tables import fitted, unified
-from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
-from igtl_gateway.replay.state_before import with_state
 from igtl_gateway.wire.message import Item, Message, encode
 from igtl_gateway.wire.transform import Transform
 from tests.addons.exchange import plain_arrow
+from tests.addons.exchange.exported import exported
 from tests.addons.exchange.test_chosen_rows import definition_of, session
 from tests.places import FIXTURES
 from tests.tables import table
@@ -328,25 +327,11 @@ def test_columns_of_different_types_become_text() -> None:
     assert fitted(two, wider).to_pydict() == {"a": ["x"], "b": [None], "c": [[{"d": 1}]]}
 
 
-def _exported(write: Any, path: Path, out: Path, globs: tuple[str, ...], form: Any) -> tuple[object, ...]:
-    account, why = None, ""
-    try:
-        with SessionFile.open(path) as file:
-            account = write(with_state(file), out, globs, form)
-    except GatewayError as error:
-        why = f"{type(error).__name__}: {error}"
-    files = {each.name: each.read_bytes() for each in out.iterdir()} if out.exists() else {}
-    facts = (
-        (account.rows, account.files, account.notes, account.others, list(account.senders.notes())) if account else ()
-    )
-    return why, files, facts
-
-
 def _is_the_same(path: Path, folder: Path, globs: tuple[str, ...] = (), form: Any = None) -> None:
     folder.mkdir()
     form = form or arrow_out._Ipc()
-    plain = _exported(plain_arrow.export, path, folder / "plain", globs, form)
-    assert _exported(arrow_out._export, path, folder / "found", globs, form) == plain
+    plain = exported(plain_arrow.export, path, folder / "plain", globs, form)
+    assert exported(arrow_out._export, path, folder / "found", globs, form) == plain
 
 
 @table("path", [path for path in sorted(FIXTURES.glob("*.mcap")) if path.stem not in ("brain", "lego")])

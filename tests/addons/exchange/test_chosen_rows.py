@@ -14,19 +14,17 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from igtl_gateway.addons.exchange import csv_out
-from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.base.buffers import join
-from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.definition import Definition
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
-from igtl_gateway.replay.state_before import with_state
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.header import CRC_AT, HEADER_SIZE, U64, crc64
 from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Position, Transform
 from tests.addons.exchange import plain_csv
+from tests.addons.exchange.exported import exported
 from tests.places import FIXTURES
 from tests.record import samples
 from tests.tables import table
@@ -190,24 +188,9 @@ def session(rng: random.Random, count: int) -> list[Entry]:
     return [replace(entry, seq=seq, stamp_ns=samples.START_NS + seq * 1_000) for seq, entry in enumerate(entries, 1)]
 
 
-def exported(way: Any, path: Path, out: Path, globs: Sequence[str]) -> tuple[object, ...]:
-    account: ExportAccount | None = None
-    why = ""
-    try:
-        with SessionFile.open(path) as file:
-            account = way.export_csv(with_state(file), out, globs)
-    except GatewayError as error:
-        why = f"{type(error).__name__}: {error}"
-    files = {each.name: each.read_bytes() for each in out.iterdir()} if out.exists() else {}
-    facts = (
-        (account.rows, account.files, account.notes, account.others, list(account.senders.notes())) if account else ()
-    )
-    return why, files, facts
-
-
 def check(path: Path, folder: Path, globs: Sequence[str] = ()) -> None:
-    plain = exported(plain_csv, path, folder / "plain", globs)
-    found = exported(csv_out, path, folder / "found", globs)
+    plain = exported(plain_csv.export_csv, path, folder / "plain", globs)
+    found = exported(csv_out.export_csv, path, folder / "found", globs)
     assert found == plain
 
 
