@@ -408,7 +408,7 @@ def _print_streams(streams: list[dict[str, Any]]) -> None:
 
 
 def _stream_row(stream: dict[str, Any], *, shows_unit: bool) -> Sequence[str]:
-    """Return the row of a stream; its last cell has what is not a number."""
+    """Return the row of a stream: name, messages, rate, size, and in words its gap, type, unit and stamps."""
     unit = ""
     if shows_unit:
         others = (f"{each} (link {link})" for link, each in stream.get("link_units", {}).items())

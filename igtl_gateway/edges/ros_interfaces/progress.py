@@ -8,6 +8,7 @@ import sys
 from collections.abc import Mapping
 
 from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.stamp import NS_PER_S
 
 _CLEAR = "\r\x1b[K"
@@ -45,9 +46,8 @@ class Progress:
         self._shares = dict.fromkeys(costs, 0.0)
         self._until_s = self._expected_s
         self._is_live = _has_cursor()
-        number = len(costs)
-        packages = "package" if number == 1 else "packages"
-        write_line(f"First start: compiling {number} ROS message {packages}, once for this environment.")
+        packages = count_text(len(costs), "ROS message package")
+        write_line(f"First start: compiling {packages}, once for this environment.")
         if not self._is_live:
             write_line(self._text())
 

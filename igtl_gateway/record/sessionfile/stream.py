@@ -417,7 +417,7 @@ class McapStream:
         else:
             name = "zstd" if self._compression == "zstd" else "lz4"
             packed = compress(name, plain, size)
-        if size < self._large or (self._zstd and not (self._held or rest or name == "lz4")):
+        if size < self._large or not (self._held or rest or name == "lz4"):
             return name, packed
         is_small = sum(map(len, packed)) <= size * _POOR[self._compression]
         for one in channels:
