@@ -274,7 +274,7 @@ class RosEdge:
                 "held": one.held,
                 "unwritten": one.unwritten,
             }
-            for topic, one in self._counts.items()
+            for topic, one in self._counts.copy().items()  # a thread of the bridge may add a topic
         }
 
     def message_class(self, type_name: str) -> Any:
