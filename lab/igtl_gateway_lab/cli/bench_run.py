@@ -17,7 +17,7 @@ from igtl_gateway.base.clock import Clock, SystemClock
 from igtl_gateway.base.errors import ConfigError, Unavailable
 from igtl_gateway.base.extras import missing
 from igtl_gateway.base.version import __version__
-from igtl_gateway.cli.terminal import print_json, print_line
+from igtl_gateway.cli.terminal import print_json, print_line, print_text
 from igtl_gateway_lab.bench import flame, offline
 from igtl_gateway_lab.bench.bounds import shown, with_verdict
 from igtl_gateway_lab.bench.cases import BOTH, CASES, FLOOD, SLICER, TABLE_1, Case, Direction
@@ -104,8 +104,9 @@ def run(options: argparse.Namespace) -> int:
         print_json({"rows": rows, **({"fits": lines} if lines else {}), "ambient": ambient})
     else:
         verbs = [row for row in rows if row["case"] == _OFFLINE]
-        table = [*_table([row for row in rows if row not in verbs]), *(offline.about(verbs) if verbs else ())]
-        print_line(*table, *_fitted(lines), "", *_ambient_text(ambient))
+        if verbs:
+            print_text("".join(f"{line}\n" for line in offline.about(verbs)))  # Markdown: a row is one line
+        print_line(*_table([row for row in rows if row not in verbs]), *_fitted(lines), "", *_ambient_text(ambient))
     return 0
 
 

@@ -70,8 +70,10 @@ def test_it_needs_no_ros(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capture
     monkeypatch.setattr(offline, "measure", lambda *_: [{"case": "offline", "stream": "info, A", "cpu_s": 1.0}])
     monkeypatch.setitem(sys.modules, "rclpy", None)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setenv("COLUMNS", "60")
     assert main(["bench", "--case", "offline"]) == 0
-    assert "| info, A | 1.0 |" in capsys.readouterr().out
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[2].startswith("| info, A | 1.0 |") and printed[2].count("|") == printed[0].count("|") > 11
     assert main(["bench", "--case", "transform", "--count", "1"]) == 1
     assert "rclpy" in capsys.readouterr().err
 
