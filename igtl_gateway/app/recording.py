@@ -163,7 +163,7 @@ def serve_recording(ros: RosSide, recorder: Recorder) -> None:
     ros.serve(STOP, TYPE, lambda _request, response: _answer(response, lambda: stop(recorder)))
     ros.serve(PAUSE, TYPE, lambda _request, response: _answer(response, lambda: pause(recorder)))
     ros.serve(RESUME, TYPE, lambda _request, response: _answer(response, lambda: resume(recorder)))
-    if recorder.options.split_bytes or recorder.options.split_s:
+    if recorder.options.has_parts:
         ros.serve(SPLIT, TYPE, lambda _request, response: _answer(response, lambda: split(recorder)))
 
 
@@ -203,7 +203,7 @@ def resume(recorder: Recorder) -> tuple[bool, str]:
 
 def split(recorder: Recorder) -> tuple[bool, str]:
     """Begin the next part with the next input; return whether that is possible, and a sentence for people."""
-    if not (recorder.options.split_bytes or recorder.options.split_s):
+    if not recorder.options.has_parts:
         return False, "the recording has one file; start it with --split-size or --split-duration"
     return _with_file(recorder, recorder.split, "the next message begins a new file")
 

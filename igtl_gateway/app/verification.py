@@ -17,12 +17,13 @@ from igtl_gateway.base.version import __version__
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.sessionfile.columns import EntryColumns, Unfit
+from igtl_gateway.record.sessionfile.derived import who_computes
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import LeafDecoder
 from igtl_gateway.replay.recheck import can_recheck, message_counts, recheck
 from igtl_gateway.replay.recorded_config import absent_sources, config_to_run, units_of
 from igtl_gateway.replay.segments import Segment, SegmentResult, plan, verify_in_segments, verify_segment
-from igtl_gateway.replay.verify import DeclaredLosses, Difference, VerifyReport, verify
+from igtl_gateway.replay.verify import DIGEST, DeclaredLosses, Difference, VerifyReport, verify
 
 #: Entries of a segment, about, and the most segments for each process.
 _ENTRIES_EACH, _MOST_EACH = 500_000, 4
@@ -89,6 +90,13 @@ class Verification:
         """Whether no output differs, and all losses are declared."""
         return self.differing == 0
 
+    @property
+    def advice(self) -> str:
+        """Which version can compute outputs whose digests differ; ``""`` if none differs, or this version recorded."""
+        if self.recorded_by == self.verified_by or self.config != RECORDED:
+            return ""
+        return who_computes(self.recorded_by) if any(each.field == DIGEST for each in self.differences) else ""
+
     def __repr__(self) -> str:
         different = f", {self.differing:,} DIFFERENT" if self.differing else ""
         return f"<Verification {self.file}: {self.equal:,} of {self.outputs:,} outputs equal{different}>"
@@ -145,7 +153,7 @@ def verify_session(
     if report is None and not reference:
         report = _recheck(file, chosen, on_progress)
     if report is None or not report.good:
-        entries = _counted(file.entries(), file.entry_count, on_progress)
+        entries = _counted(file.entries(computed=False), file.entry_count, on_progress)
         report = verify(entries, chosen.config, chosen.losses, before=file.prologue(), decoder=chosen.decoder)
     counts = {each.name: getattr(report, each.name) for each in fields(VerifyReport)}
     counts["differences"] = tuple(report.differences)
@@ -279,7 +287,7 @@ def _recheck(file: SessionFile, chosen: _Chosen, on_progress: OnProgress | None)
     if not can_recheck(chosen.config):
         return None
     try:
-        columns = _counted_columns(file.columns(), file.entry_count, on_progress)
+        columns = _counted_columns(file.columns(computed=False), file.entry_count, on_progress)
     except Unfit:
         return None
     config, losses, decoder = chosen.config, chosen.losses, chosen.decoder

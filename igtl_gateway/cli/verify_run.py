@@ -148,6 +148,8 @@ def _print(result: Verification, everything: bool) -> None:
             print_line(f"  {difference}")
         for stream, number in sorted(result.by_stream.items()):
             print_line(f"  {stream}: {count_text(number, 'difference')}")
+        if result.advice:
+            print_line(f"outputs that are digests: {result.advice}")
     for number, thing, things, why in (
         (result.lost, "output", "", "that the recording has lost"),
         (result.missing, "further entry", "further entries", "that the recording has lost or not selected"),

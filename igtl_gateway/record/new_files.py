@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from igtl_gateway.base.clock import Clock
@@ -49,12 +48,11 @@ class NewFiles:
         self._seals = _seal_series(options, clock)
         self._begun: list[str] = []  # files that the bridge does not know yet
         self._announce: Callable[[list[str]], None] | None = None
-        self._are_cut = False  # the next file follows one that was taken away, or that failed
 
     def open(self, path: Path, more: dict[str, str], prologue: Sequence[Entry]) -> SessionWriter:
         """Begin a file with further metadata and these entries.  Raises RecordingError."""
         options = self._options
-        alone = options.snapshot_s > 0 or self._are_cut  # the seal of the file before is not at its end
+        sealer = self._seals.next_file(path, alone=not options.has_parts) if self._seals else None
         writer = SessionWriter(
             path,
             self.session | more,
@@ -66,24 +64,17 @@ class NewFiles:
             overwrite=options.overwrite,
             prologue=prologue,
             types=self.types,
-            sealer=self._seals.next_file(path, alone=alone) if self._seals else None,
+            sealer=sealer,
             counted=True,
             outputs=self.outputs,
         )
+        if self._seals and sealer:
+            self._seals.has_begun(sealer)
         self._begun.append(str(path))
         self.all.add(path.absolute())
         if self._announce:
             self._announce(self.take_begun())
         return writer
-
-    @contextmanager
-    def after_a_cut(self, is_cut: bool = True) -> Iterator[None]:
-        """Within, a file follows one whose end is missing, if ``is_cut``."""
-        self._are_cut = is_cut
-        try:
-            yield
-        finally:
-            self._are_cut = False
 
     def take_begun(self) -> list[str]:
         """Return the files that were begun and not named yet."""

@@ -86,3 +86,8 @@ class RecordOptions:
     seal: Path | None = None
     retention: RetentionRule | None = None
     uploaded: bool = False
+
+    @property
+    def has_parts(self) -> bool:
+        """Whether the recording is split."""
+        return bool(self.split_bytes or self.split_s)

@@ -120,18 +120,16 @@ class Output:
             raise RecordingError("found a snapshot buffer, expected a recording")
         return self.writer
 
-    def begin(self, *, is_cut: bool) -> Path:
+    def begin(self) -> Path:
         """Begin the next file, and return its path.  Raises RecordingError, OSError."""
-        with self._files.after_a_cut(is_cut):
-            return self.in_files().begin()
+        return self.in_files().begin()
 
     def go_on(self) -> tuple[Path, int]:
         """Continue in the next file after one was taken away; return its path, and the entries of that.
 
         Raises RecordingError.
         """
-        with self._files.after_a_cut():
-            path, lost = self.in_files().go_on()
+        path, lost = self.in_files().go_on()
         self._forget_channels()
         return path, lost
 
@@ -153,10 +151,10 @@ class Output:
         self.rows = None
         return self.in_files().abandon()
 
-    def finish_abandoned(self, ledger: dict[str, Any]) -> None:
+    def finish_abandoned(self, ledger: dict[str, Any], *, goes_on: bool) -> None:
         """Give the file that was left its end, as SoleFile.finish_abandoned."""
         if isinstance(self.writer, SoleFile | PartsWriter):
-            self.writer.finish_abandoned(ledger)
+            self.writer.finish_abandoned(ledger, goes_on=goes_on)
 
     def _forget_channels(self) -> None:
         """The streams of the queue have no channels in the next file yet."""
@@ -178,7 +176,7 @@ class Output:
             if not later:
                 ring.try_place()
             return ring
-        if options.split_bytes or options.split_s:
+        if options.has_parts:
             return PartsWriter(
                 path,
                 self._files.open,

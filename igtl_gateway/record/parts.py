@@ -204,10 +204,10 @@ class PartsWriter:
         self._left_entries += part.flushed_entries
         return part.entries - part.flushed_entries, part.was_taken
 
-    def finish_abandoned(self, ledger: dict[str, Any]) -> None:
+    def finish_abandoned(self, ledger: dict[str, Any], *, goes_on: bool) -> None:
         """As SoleFile.finish_abandoned; the part is among the complete ones then."""
         part = self._without_end
-        if part is None or not part.finish_after_failure(ledger):
+        if part is None or not part.finish_after_failure(ledger, last_part=not goes_on):
             return
         self._without_end = None
         self._left.remove(part.path)

@@ -445,7 +445,7 @@ class Recorder:
     def _summary_of_lost(self) -> RecordingSummary:
         """As far as this end knows."""
         values, path, begun = self.counters(), self._path, self._files
-        if self.options.split_bytes or self.options.split_s:
+        if self.options.has_parts:
             path = parts_folder(path)
             begun = [*begun, path / SIDE_FILE]
         files = tuple(each for each in begun if each.is_file())

@@ -39,7 +39,7 @@ class RetentionThread:
 
     def __init__(self, path: Path, options: RecordOptions, clock: Clock, files: Set[Path] = frozenset()) -> None:
         assert options.retention
-        self._live = parts_folder(path) if options.split_bytes or options.split_s else None
+        self._live = parts_folder(path) if options.has_parts else None
         folder = path.absolute().parent
         self._uploads = UploadProtection(folder, all_files=options.uploaded)
         self._seals = options.seal is not None

@@ -136,8 +136,11 @@ class SoleFile:
         self._previous = file.path.name
         return file.entries - file.flushed_entries, file.was_taken
 
-    def finish_abandoned(self, ledger: dict[str, Any]) -> None:
-        """Give the file that was left last its end, if the disk has room for it; this may be called again."""
+    def finish_abandoned(self, ledger: dict[str, Any], *, goes_on: bool) -> None:
+        """Give the file that was left last its end, if the disk has room for it; this may be called again.
+
+        ``goes_on``: the recording does, for the seals of parts.
+        """
         if self._without_end and self._without_end.finish_after_failure(ledger):
             self._without_end = None
 

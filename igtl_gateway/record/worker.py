@@ -140,7 +140,7 @@ class _RecorderWorker:
         self._clock = clock
         self._queue = queue
         # written at once, or not at all: what keeps entries, or has a gate hold them, has to own them
-        queue.lends = not (options.snapshot_s or options.split_bytes or options.split_s)
+        queue.lends = not (options.snapshot_s or options.has_parts)
         now_ns = clock.monotonic_ns()
         self._bridge = BridgeEnd(pipe, orphaned)
         self._pace = Pace(times)
@@ -449,7 +449,7 @@ class _RecorderWorker:
 
     def _begin(self, writer: SoleFile | PartsWriter) -> Path:
         """Begin the next file."""
-        path = self._output.begin(is_cut=isinstance(writer, SoleFile) or bool(self._failures.present))
+        path = self._output.begin()
         dropped: int = self._counters()["dropped_entries"]
         self._account.before_start = writer.entries, self._gate.left_out.total(), dropped
         return path
@@ -551,7 +551,7 @@ class _RecorderWorker:
             lost, was_taken = self._output.abandon()
             if lost:
                 self._account.dropped[TAKEN if was_taken else UNFLUSHED] += lost
-            self._finish_abandoned()
+            self._finish_abandoned(goes_on=self._ledger is None and not self._options.stop_on_failure)
             if self._options.stop_on_failure:
                 then = "the bridge stops"
             elif self._rests or self._ledger is not None:
@@ -561,18 +561,18 @@ class _RecorderWorker:
                 then = "the bridge goes on without recording; the disk is tried again, in a new file"
         self._note(Note(Level.ERROR, FAILED, f"{text}; {then}"))
 
-    def _finish_abandoned(self) -> None:
+    def _finish_abandoned(self, *, goes_on: bool = False) -> None:
         """Give the file that the disk has refused its end: at once, when the disk works again, or at the end."""
         counters = self._state().counters(self._account.not_queued)
-        self._output.finish_abandoned({layout.CUT_OFF_KEY: True, "recorder": counters})
+        self._output.finish_abandoned({layout.CUT_OFF_KEY: True, "recorder": counters}, goes_on=goes_on)
 
     def _go_on_after_failure(self) -> None:
         """Begin the next file after a failure of the disk; before an input.  If that fails, it is tried later."""
         if self._failures.again_ns is None or isinstance(self._output.writer, Ring):
             return
-        self._finish_abandoned()
+        self._finish_abandoned(goes_on=True)
         try:
-            path = self._output.begin(is_cut=True)
+            path = self._output.begin()
         except (RecordingError, OSError):
             self._failures.try_later(self._clock.monotonic_ns())
             return

@@ -6,6 +6,7 @@ compare them with the recorded ones in place, without an object per entry.  The 
 * inputs that no compiled stream takes: the first messages of each stream, messages of another form, links, notes,
   settings, and everything after which streams are compiled again;
 * what the guard has to judge, and whatever is not recorded as expected: it alone states what differs;
+* inputs of which a digest stands for an output;
 * a sample: the last input of each channel of a file, and one of `EVERY`, chosen by entry number.
 
 If anything differs, the result is that of the full path for the whole recording.
@@ -233,4 +234,8 @@ class Checker:
                 self._left[stream.topic] = left = self._left.get(stream.topic, 0) - number
                 if left <= 0:
                     chosen[np.flatnonzero(columns.channels == channel)[-1]] = True
+        if (digests := columns.digests()) is not None:  # the passage has nothing to compare with
+            inputs = np.flatnonzero(columns.of(lambda stream: stream.kind.is_input))
+            causes = np.searchsorted(inputs, np.flatnonzero(digests)) - 1
+            chosen[inputs[causes[causes >= 0]]] = True
         return chosen.astype(np.uint8)

@@ -296,7 +296,7 @@ def verify_segment(
             checker.offer(state)
         before = _digest(verifier, checker)
         first = last = 0
-        for columns in file.columns(segment.start_ns, segment.end_ns):
+        for columns in file.columns(segment.start_ns, segment.end_ns, computed=False):
             if not first:
                 first = int(columns.numbers[0])
                 if segment.start_ns:
@@ -382,7 +382,7 @@ def _state(file: SessionFile, segment: Segment) -> Iterator[Entry]:
 
 def _entries(file: SessionFile, window: Window) -> Iterator[Entry]:
     """The inputs at the times of a window, and the outputs behind them."""
-    for columns in file.columns(window.start_ns, window.end_ns):
+    for columns in file.columns(window.start_ns, window.end_ns, computed=False):
         yield from _with_outputs(columns, np.isin(columns.times, np.array(window.times, columns.times.dtype)))
 
 

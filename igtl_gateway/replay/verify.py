@@ -1,7 +1,7 @@
 """Verification: passes the recorded inputs to the gateway and compares its outputs with the recorded ones.
 
-Outputs are compared byte by byte; of notes the code, level, stream and links, not the text.  If bytes differ, both
-messages are decoded, and the first differing field is reported.
+Outputs are compared byte by byte, or by their digest where the recording has that; of notes the code, level, stream and
+links, not the text.  If bytes differ, both messages are decoded, and the first differing field is reported.
 
 Entry numbers without an entry are losses.  Losses that the recording declares are accepted and counted: entries that
 the recorder dropped or did not select, entries that `recover` could not read.  If an input is lost, its recorded
@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from hashlib import sha256
 from operator import attrgetter
 from typing import Any
 
@@ -28,6 +29,7 @@ from igtl_gateway.gateway.log.groups import input_groups
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.large_outputs import DigestedOutput
 from igtl_gateway.replay.compare import LeafDecoder, compare_values, first_byte, flattened, same
 from igtl_gateway.wire import describe
 
@@ -42,6 +44,8 @@ _MESSAGES = {row.message.TYPE: row.message for row in TO_ROS} | {
     kind.TYPE: kind for kind in (LinkStatusList, Metadata, RawMessage)
 }
 
+#: The field that differs where the recording has the digest of an output.
+DIGEST = "SHA-256"
 #: Attributes of outputs that are compared besides the bytes.
 _COMPARED = ("kind", "channel", "type", "links", "stamp_ns", "source_ns")
 _OUTSIDE = attrgetter(*_COMPARED)
@@ -348,6 +352,15 @@ def compare(recorded: Entry, computed: Entry, cause: int, decoder: LeafDecoder |
         for what in _COMPARED:
             if getattr(recorded, what) != getattr(computed, what):
                 return differ(what, getattr(recorded, what), getattr(computed, what))
+    if isinstance(recorded, DigestedOutput):
+        digest = sha256()
+        for part in computed.payload:
+            digest.update(part)
+        stated, found = (
+            f"{value.hex()} ({size} bytes)"
+            for size, value in ((recorded.true_size, recorded.digest), (computed.size, digest.digest()))
+        )
+        return None if stated == found else differ(DIGEST, stated, found)
     if recorded.kind is Kind.NOTE or _equal(recorded.payload, computed.payload):
         return None
     return differ(*_first_field(recorded, computed), _measure(recorded, computed, decoder) if decoder else "")

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
+from igtl_gateway.app.sealing import verify_seal
 from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.base.errors import RecordingError
 from igtl_gateway.base.stamp import NS_PER_S
@@ -24,8 +25,10 @@ from igtl_gateway.record import reports
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.seal.keys import SigningKey
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.sealing import Sealer, SealSeries
 from igtl_gateway.record.sessionfile.side_file import files_of
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.record.space import SpaceWatch
@@ -65,9 +68,9 @@ def check(path: Path, expected: list[Entry]) -> None:
         assert len(list(make_reader(stream, validate_crcs=True).iter_messages())) == len(expected)
 
 
-def failed_writer(path: Path, flushed: int, room: int) -> tuple[SessionWriter, list[Entry]]:
+def failed_writer(path: Path, flushed: int, room: int, sealer: Sealer | None) -> tuple[SessionWriter, list[Entry]]:
     """A writer whose file may have ``room`` bytes more, after some entries that were flushed."""
-    out = SessionWriter(path, samples.SESSION, counted=True)
+    out = SessionWriter(path, samples.SESSION, counted=True, sealer=sealer)
     entries = [noise(seq) for seq in range(1, flushed + 1)]
     for entry in entries:
         out.write(entry)
@@ -79,10 +82,13 @@ def failed_writer(path: Path, flushed: int, room: int) -> tuple[SessionWriter, l
     return out, entries
 
 
-@table("flushed", [0, 1, 40])
-def test_a_file_in_the_middle_of_a_chunk_gets_its_end_when_there_is_room(flushed: int, tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    out, entries = failed_writer(path, flushed, 100)
+@table("flushed, sealed", [(0, False), (1, False), (40, False), (0, True), (40, True)])
+def test_a_file_in_the_middle_of_a_chunk_gets_its_end_when_there_is_room(
+    flushed: int, sealed: bool, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.mktemp("full") / "a.mcap"
+    sealer = SealSeries(SigningKey.generate(), lambda: 5).next_file(path) if sealed else None
+    out, entries = failed_writer(path, flushed, 100, sealer)
     size = path.stat().st_size
     with files_of_at_most(size + 100):
         assert not out.finish_after_failure(LEDGER)
@@ -91,6 +97,8 @@ def test_a_file_in_the_middle_of_a_chunk_gets_its_end_when_there_is_room(flushed
     assert not out.finish_after_failure(LEDGER), "it is closed"
     check(path, entries)
     assert out.entries == flushed
+    if sealed:
+        assert verify_seal(path).good
 
 
 def test_a_file_has_its_end_at_once_where_the_begin_of_a_chunk_makes_room(tmp_path: Path) -> None:
@@ -117,10 +125,22 @@ def test_a_file_that_was_taken_away_or_has_not_failed_gets_no_end(tmp_path: Path
     assert not out.finish_after_failure(LEDGER)
 
 
-@table("split_bytes", [0, 1 << 20])
-def test_the_recording_goes_on_by_itself_when_the_disk_has_room_again(split_bytes: int, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def key(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("cryptography")
+    path = tmp_path_factory.mktemp("keys") / "key"
+    path.touch(0o600)
+    path.write_bytes(SigningKey.generate().private_pem())
+    return path
+
+
+@table("split_bytes, sealed", [(0, False), (1 << 20, False), (0, True), (1 << 20, True)])
+def test_the_recording_goes_on_by_itself_when_the_disk_has_room_again(
+    split_bytes: int, sealed: bool, key: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    tmp_path = tmp_path_factory.mktemp("full")
     notes, clock, path = TimelessNotes(), ManualClock(), tmp_path / "a.mcap"
-    options = RecordOptions(split_bytes=split_bytes, flush_s=0.01)
+    options = RecordOptions(split_bytes=split_bytes, flush_s=0.01, seal=key if sealed else None)
     recorder = Recorder(
         path, samples.SESSION, qos_of=lambda _topic, _type: None, on_note=notes.append, clock=clock,
         host=in_thread, options=options,
@@ -161,6 +181,10 @@ def test_the_recording_goes_on_by_itself_when_the_disk_has_room_again(split_byte
     if split_bytes:
         with SessionFile.open(summary.path) as whole:
             assert [entry.seq for entry in whole.entries()] == [*numbers[0], *numbers[1]]
+    if sealed:  # and so do the parts, as one recording if it is split
+        for each in (summary.path,) if split_bytes else parts:
+            found = verify_seal(each)
+            assert found.good, (found.state, found.problem, found.side_file)
 
 
 def test_a_disk_has_room_when_it_has_some_seconds_of_the_recording() -> None:

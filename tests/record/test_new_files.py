@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,7 @@ def test_the_bridge_learns_each_file_once(tmp_path: Path) -> None:
     assert files.all == set(paths)
 
 
-def test_a_seal_names_the_one_of_the_file_before_but_after_a_cut(
+def test_a_seal_of_a_part_names_the_one_of_the_part_before_if_that_has_its_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("cryptography")
@@ -62,14 +63,25 @@ def test_a_seal_names_the_one_of_the_file_before_but_after_a_cut(
         return sealers[-1]
 
     monkeypatch.setattr(SealSeries, "next_file", noticed)
-    files = files_of(RecordOptions(seal=key))
-    for name, is_cut in (("a", False), ("b", False), ("c", True), ("d", False)):
-        with files.after_a_cut(is_cut):
-            writer = files.open(tmp_path / name, {}, ())
+    files = files_of(RecordOptions(seal=key, split_s=9.0))
+    for name in "abcd":
+        writer = files.open(tmp_path / name, {}, ())
+        if name == "b":
+            (tmp_path / name).unlink()
+            with pytest.raises(RecordingError):
+                writer.flush()
         writer.close({})
-    first, second, cut, last = sealers
-    assert first.part.previous == cut.part.previous == ""
-    assert second.part.previous == first.last_digest and last.part.previous == cut.last_digest
+    with pytest.raises(RecordingError):
+        files.open(tmp_path / "a", {}, ())
+    files.open(tmp_path / "e", {}, ()).close({})
+    assert [each.part.number for each in sealers] == [0, 1, 0, 1, 2, 2]
+    for one, two in pairwise(sealers[:4]):
+        assert two.part.previous == one.last_digest
+    assert sealers[5].part.previous == sealers[3].last_digest
+    alone = files_of(RecordOptions(seal=key))
+    for name in "fg":
+        alone.open(tmp_path / name, {}, ()).close({})
+    assert [each.part.number for each in sealers[6:]] == [0, 0]
 
 
 def test_a_key_that_cannot_be_used_is_refused(tmp_path: Path) -> None:

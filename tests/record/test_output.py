@@ -68,7 +68,7 @@ def test_a_file_follows_another_with_channels_of_its_own(tmp_path: Path) -> None
     assert output.close_present() == tmp_path / "a.mcap" and not output.present
     output.changed()
     assert output.rows is None
-    path = output.begin(is_cut=False)
+    path = output.begin()
     output.changed()
     assert output.present == str(path) != str(tmp_path / "a.mcap")
     assert set(bench.row_streams) <= {None}
@@ -80,7 +80,7 @@ def test_a_file_follows_another_with_channels_of_its_own(tmp_path: Path) -> None
 def test_one_that_waits_has_no_file_before_it_begins(tmp_path: Path) -> None:
     output = Bench(tmp_path / "a.mcap", waits=True).output
     assert not output.present and not [*tmp_path.iterdir()] and not output.rows
-    assert output.begin(is_cut=False) == tmp_path / "a.mcap"
+    assert output.begin() == tmp_path / "a.mcap"
 
 
 @pytest.mark.parametrize("options", [{}, {"split_s": 9.0}])
@@ -97,8 +97,8 @@ def test_a_disk_that_refuses_is_tried_later(
         output = Bench(tmp_path / "b.mcap", **options).output
         assert output.refused == "the disk is full" and not output.present
         with pytest.raises(DiskRefused):
-            output.begin(is_cut=True)
-    assert output.begin(is_cut=True).exists()
+            output.begin()
+    assert output.begin().exists()
 
 
 def test_parts_report_that_they_are_closed_and_held(tmp_path: Path) -> None:

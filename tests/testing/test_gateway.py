@@ -112,7 +112,7 @@ def test_a_recording_with_a_prologue_starts_with_its_state(tmp_path: Path) -> No
         def prologue(self) -> list[Entry]:
             return [entry for entry in super().entries() if entry.kind is Kind.LINK]
 
-        def entries(self) -> Iterator[Entry]:
+        def entries(self, *, computed: bool = True) -> Iterator[Entry]:
             return (entry for entry in super().entries() if entry.kind is Kind.ROS_IN)
 
     gateway = ManualGateway()

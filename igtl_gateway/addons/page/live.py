@@ -313,7 +313,7 @@ def _recording(bridge: Bridge) -> dict[str, Any] | None:
     return {
         "snapshot_s": how.snapshot_s,
         "triggers": [str(rule) for rule in how.triggers],
-        "split": bool(how.split_bytes or how.split_s),
+        "split": how.has_parts,
         "sealed": how.seal is not None,
         "path": str(bridge.options.record.absolute()),
         "phases": bridge.gateway.phases.labels,

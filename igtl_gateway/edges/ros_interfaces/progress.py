@@ -1,4 +1,8 @@
-"""What the standard error shows while packages are compiled: on a terminal a bar, elsewhere a line now and then."""
+"""What the standard error shows while packages are compiled: on a terminal a bar, elsewhere a line now and then.
+
+The estimate of what is left follows from this run alone, because the machine may be any, and busy: packages go on as
+fast as they did so far, one after the other on each processor.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +21,10 @@ _BAR = 20
 _LINE_EACH_S = 10
 #: Below it an estimate has single seconds.
 _FINE_S = 15
-#: From this part of the work on, its own speed is the better estimate.
+#: From this part of the work on, its speed is known.
 _KNOWN = 0.1
-#: Packages that can be compiled at once with profit, and how much longer it takes beside other programs.
-_PROCESSORS, _BUSY = 3, 1.5
+#: What has not come for some time takes this part of that time at least.
+_OVERDUE = 1 / 3
 
 
 def write_line(text: str) -> None:
@@ -32,7 +36,7 @@ class Progress:
     """The bar, and the estimate of what is left.
 
     Args:
-        costs: package → the seconds of CPU time that it takes.
+        costs: package → the seconds of CPU time that it takes, in the order in which they begin.
         at_once: number of packages that are compiled at once.
         clock: measures the time.
     """
@@ -41,10 +45,12 @@ class Progress:
         self._costs = costs
         self._clock = clock
         self._begun_ns = self._shown_ns = clock.monotonic_ns()
+        self._at_once = at_once
         self._whole = sum(costs.values())
-        self._expected_s = self._whole / min(at_once, _PROCESSORS) * _BUSY
         self._shares = dict.fromkeys(costs, 0.0)
-        self._until_s = self._expected_s
+        self._times: dict[str, tuple[float, float]] = {}  # when each began, and when it was seen last, s
+        self._known_s = 0.0  # when the last share came, and ...
+        self._left_s: float | None = None  # ... what was left then, s; None: not known
         self._is_live = _has_cursor()
         packages = count_text(len(costs), "ROS message package")
         write_line(f"First start: compiling {packages}, once for this environment.")
@@ -57,10 +63,13 @@ class Progress:
 
     def show(self, package: str, share: float) -> None:
         """Show that this share of a package, 0 to 1, is done; call it often, because time passes too."""
+        now_s = self.elapsed_s
+        self._times[package] = self._times.get(package, (now_s, now_s))[0], now_s
         if share > self._shares[package]:
             self._shares[package] = share
+            self._known_s = now_s
             if self._done >= _KNOWN:
-                self._until_s = self.elapsed_s / self._done
+                self._left_s = self._estimated_s()
         if self._is_live:
             _write(f"{_CLEAR}{self._text()[: shutil.get_terminal_size().columns - 1]}")
             return
@@ -82,13 +91,24 @@ class Progress:
         done = self._done
         filled = int(done * _BAR)
         bar = ("=" * filled + ">" * (filled < _BAR)).ljust(_BAR)
-        return f"compiling ROS messages [{bar}] {done:4.0%}, {self._left()}"
+        return f"compiling ROS messages [{bar}] {done:4.0%}{self._left()}"
 
     def _left(self) -> str:
-        """The estimate: by the speed so far, or, at the beginning, by that of other machines."""
-        left_s = self._until_s - self.elapsed_s
+        """The estimate, as soon as there is one."""
+        if self._left_s is None:
+            return ""
+        since_s = self.elapsed_s - self._known_s
+        left_s = max(self._left_s - since_s, since_s * _OVERDUE)
         step = 5 if left_s > _FINE_S else 1
-        return f"about {step * max(1, round(left_s / step))} s left"
+        return f", about {step * max(1, round(left_s / step))} s left"
+
+    def _estimated_s(self) -> float:
+        """What is left by the speed so far, s."""
+        busy_s = sum(last - first for first, last in self._times.values())
+        ends = [0.0] * self._at_once
+        for package, cost in self._costs.items():
+            ends[ends.index(min(ends))] += cost * (1 - self._shares[package])
+        return max(ends) * busy_s / (self._done * self._whole)
 
 
 def _has_cursor() -> bool:

@@ -6,7 +6,7 @@ payloads: :meth:`EntryColumns.wire` does, for OpenIGTLink, and :meth:`EntryColum
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -154,8 +154,15 @@ class WireHeads:
 class _Table:
     """What a file knows of its channels, and how its entries are decoded."""
 
-    def __init__(self, streams: Mapping[int, Stream], decoders: Mapping[int, Decode], name: str, remedy: str) -> None:
-        self.streams, self.decoders = streams, decoders
+    def __init__(
+        self,
+        streams: Mapping[int, Stream],
+        decoders: Mapping[int, Decode],
+        digests: Collection[int],
+        name: str,
+        remedy: str,
+    ) -> None:
+        self.streams, self.decoders, self.digests = streams, decoders, digests
         self.name, self.remedy = name, remedy
         self.wire_heads = WireHeads()
 
@@ -196,6 +203,10 @@ class EntryColumns:
     def streams(self) -> Mapping[int, Stream]:
         """MCAP channel → what it states of its entries."""
         return self.table.streams
+
+    def digests(self) -> npt.NDArray[np.bool_] | None:
+        """Mask of the entries whose payload is the digest of an output; None: there is none."""
+        return mask_of(self.channels, self.table.digests) if self.table.digests else None
 
     def where(self, rows: npt.NDArray[Any] | slice) -> EntryColumns:
         """The entries of a mask, of indices or of a slice."""
@@ -336,6 +347,7 @@ class ColumnsReader:
         streams, decoders: by MCAP channel; of those that are read.
         known: MCAP channels of which there is a record.
         counted: entries are numbered as read.
+        digests: MCAP channels of the digests of outputs, which are not computed.
     """
 
     def __init__(
@@ -347,8 +359,9 @@ class ColumnsReader:
         known: frozenset[int],
         *,
         counted: bool,
+        digests: Collection[int] = (),
     ) -> None:
-        self._table = _Table(streams, decoders, name, remedy)
+        self._table = _Table(streams, decoders, digests, name, remedy)
         self._known, self._read = table_of(known), table_of(streams)
         self._counted = counted
         self._seq, self._first = 0, True

@@ -54,6 +54,12 @@ def is_digested(channel: Channel) -> bool:
     return layout.DIGEST_KEY in channel.metadata
 
 
+def who_computes(recorded_by: str) -> str:
+    """Which igtl-gateway can compute the outputs of a recording; the version is ``""`` if it is not known."""
+    who = f"igtl-gateway {recorded_by}, which" if recorded_by else "the igtl-gateway, of a version that it lacks, that"
+    return f"{who} recorded it, can compute them"
+
+
 def output_channel(channel: Channel, schemas: dict[int, Schema]) -> Channel:
     """The channel of digests as one of the outputs that they stand for, with its schema among ``schemas``."""
     items = dict(channel.metadata)
@@ -206,10 +212,8 @@ class DerivedOutputs:
     def _not_computed(self, sequence: int, name: str, cause: int) -> Exception:
         what = f"{self._path}: entry {sequence} (caused by entry {cause}), {name}: the file has its digest, and "
         if self._by != __version__:
-            recorder = self._by or "(unknown)"
             return UnsupportedRecording(
-                f"{what}igtl-gateway {__version__} computes other bytes; igtl-gateway {recorder}, which recorded it, "
-                "can compute them"
+                f"{what}igtl-gateway {__version__} computes other bytes; {who_computes(self._by)}"
             )
         return NotComputed(f"{what}what is computed is different: the digest or an input is not as recorded")
 

@@ -23,6 +23,7 @@ from mcap.records import Channel
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import DamagedRecording
+from igtl_gateway.base.values import value
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.layout import WIRE_TOPICS, LayoutError
@@ -134,8 +135,17 @@ class OutputDigest:
         return RawPacker(self.entry).head(self.entry, payload) + payload if kind in WIRE_TOPICS else payload
 
 
+@value(frozen=True, slots=True)
 class DigestedOutput(Entry):
-    """An output whose bytes are not at hand: as many zeros are in their place."""
+    """An output whose bytes are not at hand: as many zeros are in their place.
+
+    Attributes:
+        digest: SHA-256 of its bytes.
+        true_size: their number; more than there are zeros in a damaged file.
+    """
+
+    digest: bytes = b""
+    true_size: int = 0
 
 
 def digest_decoder(channel: Channel, kind: Kind) -> Callable[[Row, int], Entry]:
@@ -147,8 +157,10 @@ def digest_decoder(channel: Channel, kind: Kind) -> Callable[[Row, int], Entry]:
         digest = OutputDigest(memoryview(data)[begin:end], seq, log_ns, publish_ns)
         found, payload = digest.entry, (bytes(min(digest.size, _MOST_ZEROS)),)
         if kind in WIRE_TOPICS:
-            return DigestedOutput(seq, log_ns, kind, found.channel, found.type, payload, found.links, found.source_ns)
-        return DigestedOutput(seq, log_ns, kind, topic, ros_type, payload, (), found.source_ns)
+            of = found.channel, found.type, payload, found.links
+        else:
+            of = topic, ros_type, payload, ()
+        return DigestedOutput(seq, log_ns, kind, *of, found.source_ns, digest.digest, digest.size)
 
     return decode
 

@@ -46,7 +46,7 @@ from igtl_gateway.record.sessionfile.definition import Definition, FileDefinitio
 from igtl_gateway.record.sessionfile.derived import DerivedOutputs, is_digested, output_channel
 from igtl_gateway.record.sessionfile.index import read_index, read_record, recover_hint
 from igtl_gateway.record.sessionfile.index_check import damaged_indexes
-from igtl_gateway.record.sessionfile.large_outputs import DIGEST_NAME
+from igtl_gateway.record.sessionfile.large_outputs import DIGEST_NAME, digest_decoder
 from igtl_gateway.record.sessionfile.layout import LayoutError
 from igtl_gateway.record.sessionfile.lookup import LatchedStateRule, Numbers, chunk_times, look_up
 from igtl_gateway.record.sessionfile.merged import MERGE_METADATA, Definitions, Merge, extract_part, parse_merge
@@ -129,6 +129,7 @@ class SessionFile:
         self._undecodable = {channel.id for channel in by_count if not self._takes_definition(channel)}
         found = [self._open_channel(channel) for channel in index.channels.values()]
         kinds = {channel.id: self._streams[channel.id][0] for channel in digested if channel.id in self._streams}
+        self._digest_decoders = {each.id: digest_decoder(each, kinds[each.id]) for each in digested if each.id in kinds}
         self._derived: DerivedOutputs | None = None
         if kinds and not self.foreign:
             self._derived = self._chunks.derived = DerivedOutputs(
@@ -179,12 +180,15 @@ class SessionFile:
     ) -> None:
         self.close()
 
-    def entries(self) -> Iterator[Entry]:
+    def entries(self, *, computed: bool = True) -> Iterator[Entry]:
         """All entries in their order.  Payloads are one buffer each, views of OpenIGTLink messages.
+
+        Args:
+            computed: outputs of which the file has the digest are computed; else they are `DigestedOutput`.
 
         Raises DamagedRecording where the file turns out to be damaged; the entries before that are right.
         """
-        return migrations.entries(self.format_version, self._entries())
+        return migrations.entries(self.format_version, self._entries(computed))
 
     def entries_of_kinds(self, kinds: Collection[Kind]) -> Iterator[Entry]:
         """The entries of these kinds; entries without number and content stand for the other inputs.
@@ -250,22 +254,37 @@ class SessionFile:
         )
 
     def columns(
-        self, start_ns: int = 0, end_ns: int = END_NS, wanted: Callable[[Stream], bool] = lambda _: True
+        self,
+        start_ns: int = 0,
+        end_ns: int = END_NS,
+        wanted: Callable[[Stream], bool] = lambda _: True,
+        *,
+        computed: bool = True,
     ) -> Iterator[EntryColumns]:
         """The entries of the wanted streams in columns, from ``start_ns`` on and before ``end_ns`` (UTC).
 
-        Chunks outside of the times are not read, and those that hold none of the streams are not unpacked.  Raises
+        ``computed``: as of `entries`; of outputs that are not, the payload is the digest.  Chunks outside of the times
+        are not read, and those that hold none of the streams are not unpacked.  Raises
         `Unfit` at the call where only `entries` can read the file; then as `entries`, but payloads are not looked into.
         """
         if self.format_version not in layout.PRESENT_VERSIONS:
             raise Unfit
-        return self._columns(start_ns, end_ns, wanted)
+        return self._columns(start_ns, end_ns, wanted, computed)
 
-    def _columns(self, start_ns: int, end_ns: int, wanted: Callable[[Stream], bool]) -> Iterator[EntryColumns]:
+    def _columns(
+        self, start_ns: int, end_ns: int, wanted: Callable[[Stream], bool], computed: bool
+    ) -> Iterator[EntryColumns]:
         streams = self._stated_streams()
         chosen = {number for number, stream in streams.items() if wanted(stream)}
+        digests = {} if computed else self._digest_decoders
         reader = ColumnsReader(
-            str(self.path), recover_hint(self.path), streams, self._decoders, self._known, counted=self.foreign
+            str(self.path),
+            recover_hint(self.path),
+            streams,
+            self._decoders | digests,
+            self._known,
+            counted=self.foreign,
+            digests=digests,
         )
 
         def is_wanted(chunk: ChunkEntry) -> bool:
@@ -278,7 +297,7 @@ class SessionFile:
         with self._damage_in("entries"):
             found = message_columns(self._stream, self._index, str(self.path), first_ns, last_ns, is_wanted)
             for chunk, data, columns, whole in found:
-                if self._derived:
+                if self._derived and computed:
                     inside = mask_of(columns.channels, chosen)
                     inside &= (columns.times >= start_ns) & (columns.times < end_ns)
                     data, columns = self._derived.columns(data, columns, inside)  # noqa: PLW2901
@@ -540,8 +559,8 @@ class SessionFile:
 
     # -- reading ----------------------------------------------------------------------------------------------
 
-    def _entries(self) -> Iterator[Entry]:
-        count = yield from self._numbered(self._rows(), 0)
+    def _entries(self, computed: bool) -> Iterator[Entry]:
+        count = yield from self._numbered(self._rows(computed=computed), 0, computed=computed)
         self._check_count(count, self.entry_count)
 
     def _check_count(self, found: int, expected: int) -> None:
@@ -580,15 +599,21 @@ class SessionFile:
         return state, found.rest_ns, found.count if self.foreign else seq
 
     def _numbered(
-        self, rows: Iterator[list[Row] | None], seq: int, kinds: Collection[Kind] = _ALL_KINDS
+        self,
+        rows: Iterator[list[Row] | None],
+        seq: int,
+        kinds: Collection[Kind] = _ALL_KINDS,
+        *,
+        computed: bool = True,
     ) -> Generator[Entry, None, int]:
         """The entries in messages; ``seq`` is the number of one before them, or 0.  See also `entries_of_kinds`.
 
         Returns how many there were, without those that are not of the kinds.
         """
         foreign = self.foreign
+        known = self._decoders if computed else self._decoders | self._digest_decoders
         decoders: dict[int, Decode | None] = {
-            number: self._decoders[number] if kind in kinds else None for number, (kind, _, _) in self._streams.items()
+            number: known[number] if kind in kinds else None for number, (kind, _, _) in self._streams.items()
         }
         unwanted = {
             number: _UNWANTED[kind]
@@ -628,7 +653,12 @@ class SessionFile:
         return count
 
     def _rows(
-        self, from_ns: int = 0, kinds: Collection[Kind] = _ALL_KINDS, numbers: Collection[int] | None = None
+        self,
+        from_ns: int = 0,
+        kinds: Collection[Kind] = _ALL_KINDS,
+        numbers: Collection[int] | None = None,
+        *,
+        computed: bool = True,
     ) -> Iterator[list[Row] | None]:
         """All messages (from a moment on) in order, in lists.
 
@@ -649,7 +679,7 @@ class SessionFile:
                     unknown = {row[0] for row in rows} - self._known
                     if unknown:
                         raise Malformed(f"found a message of channel {min(unknown)}, of which there is no record")
-                    yield self._derived.rows(rows, wanted) if self._derived else rows
+                    yield self._derived.rows(rows, wanted) if self._derived and computed else rows
                 elif chunk and not inputs.isdisjoint(chunk.channels):
                     yield None
 
@@ -744,9 +774,9 @@ class SessionParts(SessionFile):
     def close(self) -> None:
         """Nothing to close: a part is open only while it is read."""
 
-    def entries(self) -> Iterator[Entry]:
+    def entries(self, *, computed: bool = True) -> Iterator[Entry]:
         """All entries of all parts; as SessionFile.entries."""
-        return self._of_parts(SessionFile.entries)
+        return self._of_parts(lambda part: part.entries(computed=computed))
 
     def entries_of_kinds(self, kinds: Collection[Kind]) -> Iterator[Entry]:
         """As SessionFile.entries_of_kinds."""
@@ -768,20 +798,27 @@ class SessionParts(SessionFile):
                     yield from part.blocks(channel, start_ns, end_ns)
 
     def columns(
-        self, start_ns: int = 0, end_ns: int = END_NS, wanted: Callable[[Stream], bool] = lambda _: True
+        self,
+        start_ns: int = 0,
+        end_ns: int = END_NS,
+        wanted: Callable[[Stream], bool] = lambda _: True,
+        *,
+        computed: bool = True,
     ) -> Iterator[EntryColumns]:
         """As SessionFile.columns; parts outside of the times are not opened."""
         if self.format_version not in layout.PRESENT_VERSIONS:
             raise Unfit
-        return self._columns(start_ns, end_ns, wanted)
+        return self._columns(start_ns, end_ns, wanted, computed)
 
-    def _columns(self, start_ns: int, end_ns: int, wanted: Callable[[Stream], bool]) -> Iterator[EntryColumns]:
+    def _columns(
+        self, start_ns: int, end_ns: int, wanted: Callable[[Stream], bool], computed: bool
+    ) -> Iterator[EntryColumns]:
         seq = 0
         for each in self.parts:
             if each.end_ns < start_ns or (each.start_ns >= end_ns and each.entries):
                 continue
             with SessionFile.open(each.path) as part:
-                for columns in part.columns(start_ns, end_ns, wanted):
+                for columns in part.columns(start_ns, end_ns, wanted, computed=computed):
                     if (first := int(columns.numbers[0])) <= seq:
                         raise DamagedRecording(f"{each.path}: found entry number {first}, expected one above {seq}")
                     seq = int(columns.numbers[-1])

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mcap.records import Metadata
@@ -71,6 +71,16 @@ def _number(chunk: Buffer, at: int) -> int:
     return int(MESSAGE_HEAD.unpack_from(chunk, at + HEAD.size)[1])
 
 
+@dataclass(frozen=True, slots=True)
+class SealMark:
+    """A place between two units of a file: the units since the last seal, and what that has to state."""
+
+    units: tuple[UnitRow, ...]
+    start: int
+    head: bytes
+    checkpoint: int
+
+
 class Sealer:
     """Computes the seals of one file.
 
@@ -118,6 +128,20 @@ class Sealer:
     def end_unit(self, kind: str, first: int = -1, last: int = -1) -> None:
         """End a unit, with its first and last entry number."""
         self._units.append(UnitRow(kind, self._size, self._hash.digest(), first, last))
+        self._hash, self._size = new_digest(), 0
+
+    def mark(self) -> SealMark:
+        """Where it is now, at the end of a unit, for `go_back`."""
+        return SealMark(tuple(self._units), self._start, self._head, self._checkpoint)
+
+    def go_back(self, mark: SealMark) -> None:
+        """Forget what came after a mark."""
+        self._units, self._start, self._head, self._checkpoint = (
+            list(mark.units),
+            mark.start,
+            mark.head,
+            mark.checkpoint,
+        )
         self._hash, self._size = new_digest(), 0
 
     def add(self, unit: UnitRow) -> None:
@@ -179,10 +203,13 @@ class SealSeries:
         self._last: Sealer | None = None
 
     def next_file(self, path: Path, *, alone: bool = False) -> Sealer:
-        """Return the sealer of the next part; ``alone``: of a recording of its own."""
+        """Return the sealer of the next part; of another recording if ``alone``, or if the last part has no end."""
         before = self._last
         part = PartPlace(os.urandom(16).hex())
-        if before and not alone:
+        if before and before.last_digest and not alone:
             part = PartPlace(before.part.recording, before.part.number + 1, before.last_digest)
-        self._last = Sealer(self._key, path.name, self._utc_ns, part)
-        return self._last
+        return Sealer(self._key, path.name, self._utc_ns, part)
+
+    def has_begun(self, sealer: Sealer) -> None:
+        """Its file is there: the next one follows it."""
+        self._last = sealer

@@ -123,6 +123,7 @@ class McapStream:
         self._metadata: list[MetadataIndex] = []
         self._counts: dict[int, int] = {}
         self._flushed = self._state()
+        self._seal_mark = sealer.mark() if sealer else None
 
     def start(self, profile: str, library: str) -> None:
         """To be called first."""
@@ -254,6 +255,7 @@ class McapStream:
             self._put_seal(self._sealer)
         self._file.flush()
         self._flushed = self._state()
+        self._seal_mark = self._sealer.mark() if self._sealer else None
 
     def _state(self) -> tuple[int, ...]:
         """What is in the file, as far as only more can come."""
@@ -280,6 +282,8 @@ class McapStream:
         del self._chunks[length:]
         for each, number in zip(self._lists(), lengths, strict=True):
             del each[number:]
+        if self._sealer and self._seal_mark:
+            self._sealer.go_back(self._seal_mark)
 
     @property
     def counts(self) -> dict[int, int]:

@@ -54,9 +54,9 @@ class SessionWithState(SessionFile):
         """Close the file."""
         self.itself.close()
 
-    def entries(self) -> Iterator[Entry]:
+    def entries(self, *, computed: bool = True) -> Iterator[Entry]:
         """What is from before, then all entries; as SessionFile.entries."""
-        return chain(self.before.entries(), self.itself.entries())
+        return chain(self.before.entries(), self.itself.entries(computed=computed))
 
     def entries_of_kinds(self, kinds: Collection[Kind]) -> Iterator[Entry]:
         """As SessionFile.entries_of_kinds."""
@@ -81,11 +81,16 @@ class SessionWithState(SessionFile):
             yield from self.itself.blocks(channel, start_ns, end_ns)
 
     def columns(
-        self, start_ns: int = 0, end_ns: int = END_NS, wanted: Callable[[Stream], bool] = lambda _: True
+        self,
+        start_ns: int = 0,
+        end_ns: int = END_NS,
+        wanted: Callable[[Stream], bool] = lambda _: True,
+        *,
+        computed: bool = True,
     ) -> Iterator[EntryColumns]:
         """As SessionFile.columns."""
         files = (self.before, self.itself)
-        return chain.from_iterable([file.columns(start_ns, end_ns, wanted) for file in files])
+        return chain.from_iterable([file.columns(start_ns, end_ns, wanted, computed=computed) for file in files])
 
     def times(self) -> Iterator[tuple[Mapping[int, Stream], Numbers, Numbers]]:
         """As SessionFile.times."""

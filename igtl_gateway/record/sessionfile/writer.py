@@ -122,9 +122,7 @@ class SessionWriter:
         self._schemas: dict[str, int] = {}
         self._figures: dict[str, Figures] = {}
         self._closed = False
-        self._end: tuple[int, bytes] | None = None  # of a file that the disk has refused: its place and its bytes
-        self._refused: FileIO | None = None  # that file
-        self._sealed = sealer is not None
+        self._refused: FileIO | None = None  # the file, once the disk has refused something of it
         self._flushed: tuple[int, dict[int, int]] = 0, {}  # end, and messages by channel, at the last flush
         self._failure = ""
         self._fsync = fsync
@@ -332,26 +330,23 @@ class SessionWriter:
             if isinstance(self._file, BufferedWriter):
                 self._file.close()
 
-    def finish_after_failure(self, ledger: dict[str, Any]) -> bool:
+    def finish_after_failure(self, ledger: dict[str, Any], *, last_part: bool = True) -> bool:
         """Give a file of which the disk has refused something its end, behind what was flushed; whether it has one.
 
-        To be called again when there is room.  A sealed file stays without: its seals cannot go back.
+        To be called again when there is room.  Arguments as of `close`.
         """
         raw = self._refused
         if raw is None:
             return False
-        if self._end is None:
-            end, size = BytesIO(), self._mcap.flushed_size
-            self.entries, (self.end_ns, counts) = self.flushed_entries, self._flushed
-            self._mcap.go_back(end, counts)
-            self._mcap.add_metadata(layout.LEDGER_METADATA, layout.seal_ledger(ledger))
-            self._mcap.finish()
-            self._end = size, end.getvalue()
-        size, data = self._end
+        end, size = BytesIO(), self._mcap.flushed_size
+        self.entries, (self.end_ns, counts) = self.flushed_entries, self._flushed
+        self._mcap.go_back(end, counts)
+        self._mcap.add_metadata(layout.LEDGER_METADATA, layout.seal_ledger(ledger))
+        self._mcap.finish(last_part=last_part)
         try:
             raw.truncate(size)
             raw.seek(size)
-            left = memoryview(data)
+            left = end.getbuffer()
             while left:
                 left = left[raw.write(left) or 0 :]
         except OSError:
@@ -499,7 +494,7 @@ class SessionWriter:
     def _failed(self, error: OSError) -> RecordingError:
         """After an error the contents of file and buffers are unknown, so nothing more is written."""
         self._failure = f"recording to {self.path} failed: {os_error_text(error)}"
-        if not (isinstance(error, _TakenAway) or self._sealed) and isinstance(self._file, BufferedWriter):
+        if not isinstance(error, _TakenAway) and isinstance(self._file, BufferedWriter):
             with suppress(OSError):  # its end is written when there is room; until then it has what was flushed
                 self._refused = unbuffered(self._file)  # what is in the buffer must not follow
                 self._refused.truncate(self._mcap.flushed_size)

@@ -14,7 +14,7 @@ import pytest
 from mcap.reader import make_reader
 
 from igtl_gateway.app.sealing import verify_seal
-from igtl_gateway.app.verification import verify_session
+from igtl_gateway.app.verification import verify_segment_of, verify_session
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.base.errors import GatewayError, UnsupportedRecording
@@ -33,7 +33,8 @@ from igtl_gateway.record.reports import RecordingSummary
 from igtl_gateway.record.seal.keys import SigningKey
 from igtl_gateway.record.selection import StateInputRule
 from igtl_gateway.record.sessionfile import layout
-from igtl_gateway.record.sessionfile.columns import EntryColumns
+from igtl_gateway.record.sessionfile.columns import END_NS, EntryColumns
+from igtl_gateway.record.sessionfile.derived import DerivedOutputs
 from igtl_gateway.record.sessionfile.large_outputs import (
     LARGE_BYTES,
     DigestedOutput,
@@ -49,6 +50,8 @@ from igtl_gateway.record.sessionfile.salvage_report import SalvageReport
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.record.shared_queue import QueueReader
 from igtl_gateway.replay.content_figures import summary_of
+from igtl_gateway.replay.segments import Segment
+from igtl_gateway.replay.verify import DIGEST
 from igtl_gateway.testing.gateway import ManualGateway
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.body import Body
@@ -313,17 +316,55 @@ def test_a_digest_that_is_not_of_the_input_is_found_with_its_place(
             for entry in file.entries():
                 before.append(entry.seq)
         assert before[-1] >= output.seq - 20, "what is before it in the file is read"
-        with pytest.raises(NotComputed, match=words):
-            verify_session(file)
+        found = verify_session(file)
+    assert [(each.seq, each.field) for each in found.differences] == [(output.seq, DIGEST)] and not found.advice
 
 
-def test_another_version_says_which_one_can_compute_it(log: list[Entry], tmp_path: Path) -> None:
-    path = tmp_path / "other.mcap"
-    written(path, [replace(entry, payload=(flipped(entry.data()),)) if is_picture(Kind.ROS_IN)(entry) else entry
-                   for entry in log], "digest", version="9.8.7")  # fmt: skip
-    words = f"igtl-gateway {__version__} computes other bytes; igtl-gateway 9.8.7, which recorded it, can compute them"
-    with SessionFile.open(path) as file, pytest.raises(UnsupportedRecording, match=words):
-        list(file.entries())
+def with_other_pictures(log: list[Entry]) -> list[Entry]:
+    """The log, with other pictures from ROS than those that its outputs follow from."""
+    is_other = is_picture(Kind.ROS_IN)
+    return [replace(each, payload=(flipped(each.data()),)) if is_other(each) else each for each in log]
+
+
+@table("version", ["9.8.7", ""])
+def test_another_version_says_which_one_can_compute_it(
+    log: list[Entry], tmp_path_factory: pytest.TempPathFactory, version: str
+) -> None:
+    path = tmp_path_factory.mktemp("versions") / "other.mcap"
+    written(path, with_other_pictures(log), "digest", version=version)
+    who = f"igtl-gateway {version}, which" if version else "the igtl-gateway, of a version that it lacks, that"
+    words = f"{who} recorded it, can compute them"
+    with SessionFile.open(path) as file:
+        with pytest.raises(UnsupportedRecording, match=f"igtl-gateway {__version__} computes other bytes; {words}"):
+            list(file.entries())
+        assert verify_session(file).advice == words
+
+
+@table("reference", [False, True])
+def test_verification_finds_what_it_finds_with_all_bytes(
+    log: list[Entry], tmp_path_factory: pytest.TempPathFactory, reference: bool
+) -> None:
+    folder, found = tmp_path_factory.mktemp("differences"), []
+    for mode in ("full", "digest"):
+        written(folder / mode, with_other_pictures(log), mode)
+        with SessionFile.open(folder / mode) as file:
+            report = verify_session(file, reference=reference)
+        found.append(([(each.seq, each.cause, each.stream) for each in report.differences], report.by_stream))
+    assert found[0] == found[1]
+    pictures = [entry for entry in log if is_picture(Kind.IGTL_OUT)(entry)]
+    assert len(found[0][0]) == len(pictures) > 1
+
+
+def test_verification_computes_each_output_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = session(6).log
+    written(tmp_path / "digest.mcap", log, "digest")
+    monkeypatch.delattr(DerivedOutputs, "_computed")
+    with SessionFile.open(tmp_path / "digest.mcap") as file:
+        found = [verify_session(file, reference=each) for each in (False, True)]
+        segment = Segment(0, END_NS, {})
+        part = verify_segment_of(file, segment)
+    assert [each.good for each in (*found, part)] == [True] * 3  # type: ignore[union-attr]
+    assert found[0].equal == sum(not entry.kind.is_input for entry in log)
 
 
 def test_a_reader_of_the_version_before_refuses_the_file(
@@ -428,20 +469,29 @@ def test_a_damaged_file_shows_the_streams_and_sizes_of_its_outputs(log: list[Ent
 # -- recorded ------------------------------------------------------------------------------------------------------
 
 
-def recorded(path: Path, entries: Sequence[Entry], **options: Any) -> RecordingSummary:
+def options_of(path: Path, **options: Any) -> dict[str, Any]:
+    """The arguments of a recorder, but the clock."""
     facts = {"igtl_gateway_version": __version__, "config": json.dumps(CONFIG.to_dict(), sort_keys=True)}
-    recorder = Recorder(
-        path,
-        facts,
-        qos_of=lambda _topic, _type: None,
-        on_note=lambda _note: None,
-        clock=ManualClock(),
-        host=in_thread,
-        options=RecordOptions(outputs="digest", **options),
-        rule=StateInputRule(frozenset({LINKS_TOPIC}), frozenset({"CAPABILITY", "CLIENTINFO"})),
-    )
+    return {
+        "path": path,
+        "session": facts,
+        "qos_of": lambda _topic, _type: None,
+        "on_note": lambda _note: None,
+        "options": RecordOptions(outputs="digest", **options),
+        "rule": StateInputRule(frozenset({LINKS_TOPIC}), frozenset({"CAPABILITY", "CLIENTINFO"})),
+    }
+
+
+def recorded(
+    path: Path,
+    entries: Sequence[Entry],
+    before_close: Callable[[Recorder], object] = lambda _recorder: None,
+    **options: Any,
+) -> RecordingSummary:
+    recorder = Recorder(**options_of(path, **options), clock=ManualClock(), host=in_thread)
     for entry in entries:
         recorder(entry)
+    before_close(recorder)
     return recorder.close({"streams": {}})
 
 

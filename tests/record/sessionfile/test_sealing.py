@@ -111,7 +111,10 @@ def test_a_part_that_others_follow_states_so() -> None:
 def test_parts_continue_each_other_and_another_recording_does_not() -> None:
     series = SealSeries(KEY, lambda: 5)
     first = series.next_file(Path("folder/a_0.mcap"))
+    series.has_begun(first)
+    assert series.next_file(Path("folder/a_1.mcap")).part.number == 0, "the one before has no end"
     record, _ = first.last_seal(lambda _length: b"", last_part=False)
+    series.next_file(Path("folder/a_1.mcap"))  # which the disk refuses
     second = series.next_file(Path("folder/a_1.mcap"))
     assert (first.part.number, first.part.previous, len(first.part.recording)) == (0, "", 32)
     assert second.part == PartPlace(first.part.recording, 1, hashlib.sha256(record).hexdigest())
