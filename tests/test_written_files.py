@@ -211,7 +211,8 @@ _ELSEWHERE = {
     "addons/exchange/rosbag2.py": "in a temporary directory",
     "addons/lerobot/layout.py": "in the folder of a training set",
     "addons/lerobot/video.py": "in the folder of a training set",
-    "addons/lerobot/card.py": "in the folder of a training set",
+    "addons/lerobot/writing.py": "in the folder of a training set",
+    "addons/lerobot/assembling.py": "in the folder of a training set",
     "addons/lerobot/checksums.py": "in the folder of a training set",
 }
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 #: The verbs that read files; ``jobs`` has what they do.
 VERB_NAMES = ("info", "lint", "verify", "review", "sync")
+#: The verb that makes one data set of all files, and no table.
+EXPORT = "export"
 
 OK, NOTHING, BROKEN, UNSUPPORTED, GROWING = "ok", "nothing_to_do", "broken", "unsupported", "being_recorded"
 TIMEOUT, MEMORY, KILLED, UNREACHABLE, FAILED = "timeout", "memory", "killed", "unreachable", "failed"

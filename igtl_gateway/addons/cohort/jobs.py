@@ -38,10 +38,12 @@ from igtl_gateway.addon.checking import (
     verify_segment_of,
     verify_session,
 )
+from igtl_gateway.addon.processes import part_of
 from igtl_gateway.addon.reading import Kind, SessionFile, layout, marks_of, named
 from igtl_gateway.addon.untrusted import cpu_time, files, limits
 from igtl_gateway.addons.cohort.ends import (
     BROKEN,
+    EXPORT,
     FAILED,
     GROWING,
     MEMORY,
@@ -399,6 +401,13 @@ def _ms(seconds: float, known: bool) -> float | None:
     return seconds * 1e3 if known and math.isfinite(seconds) else None
 
 
+# -- export: the part of a data set, which the add-on `lerobot` makes ----------------------------------------------
+
+
+def _export(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
+    return {EXPORT: [part_of("lerobot", "parts:run_job")(settings["job"])]}
+
+
 #: Verb → what it does.
 VERBS: Mapping[str, CohortVerb] = {
     "info": CohortVerb("index: streams, rates, links", _info, ("recordings", "streams")),
@@ -408,4 +417,5 @@ VERBS: Mapping[str, CohortVerb] = {
     "verify": CohortVerb("whether outputs follow from inputs", _verify, ("verifications",)),
     "review": CohortVerb("each stitch of each plan", _review, ("reviews", "stitches")),
     "sync": CohortVerb("lags between moving streams", _sync, ("lags",)),
+    EXPORT: CohortVerb("a training set for LeRobot", _export, ()),
 }

@@ -142,6 +142,12 @@ def _do(
         flush()
 
 
+def replies_of(work: RunSettings, todo: Sequence[KnownFile], where: RunPlace) -> Iterator[tuple[KnownFile, Reply]]:
+    """Yield tasks with their replies, as they end, for a verb without tables.  Raises Unavailable."""
+    with closing(_replies(work, todo, where)) as replies:
+        yield from replies
+
+
 def _add(rows: dict[str, list[Row]], work: RunSettings, file: Located, reply: Mapping[str, Any]) -> None:
     content = reply.get("content") or ""
     name = {"task": digest(file.shown, work.verb, work.text, __version__, content or file.mark), "file": file.shown}

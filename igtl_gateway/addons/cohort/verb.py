@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.addon import ConfigError
 from igtl_gateway.addon.processes import ADDONS, check_present, extras, usable_cpus
@@ -22,8 +23,11 @@ from igtl_gateway.addon.terminal import (
     print_next,
 )
 from igtl_gateway.addon.writing import check_target, write_text, written
-from igtl_gateway.addons.cohort.ends import VERB_NAMES
+from igtl_gateway.addons.cohort.ends import EXPORT, VERB_NAMES
 from igtl_gateway.addons.cohort.progress import Progress
+
+if TYPE_CHECKING:
+    from igtl_gateway.addons.cohort.run import RunPlace
 
 EXAMPLES = """\
   # streams, times and rates of all sessions in and below a folder
@@ -34,6 +38,10 @@ EXAMPLES = """\
   igtl-gateway cohort review s3://bucket/2026 -o study \\
       --scheduler tls://cluster:8786 --tls-ca ca.pem --tls-cert me.pem \\
       --tls-key me.key
+
+  # one training set for LeRobot of all sessions, by four programs
+  igtl-gateway cohort export sessions --recipe recipe.toml -o set \\
+      --workers 4
 
   # questions to the tables, and one page about them
   igtl-gateway cohort query \\
@@ -47,7 +55,7 @@ Tables and columns: docs/how-to/cohort.md"""
 
 QUERY, REPORT = "query", "report"
 _FIRST_QUESTION = "SELECT status, count(*) n FROM tasks GROUP BY status"
-_ACTIONS = (*VERB_NAMES, QUERY, REPORT)
+_ACTIONS = (*VERB_NAMES, EXPORT, QUERY, REPORT)
 #: Verb → options that only it has.
 _OF_A_VERB = {"review": ("plan", "cloud", "tool"), "sync": ("stream", "pair", "max_lag")}
 _NAMES = ("plan", "cloud", "tool", "stream", "pair")
@@ -61,12 +69,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         help="files, folders, globs and URLs (s3://, gs://, az://, https://); query: the SQL",
     )
-    add_output(parser, "folder of the tables", metavar="DIR", required=True)
+    add_output(parser, "folder of the tables, or of the training set", metavar="DIR", required=True)
     add_json(parser)
     parser.add_argument("--csv", type=output_file(".csv"), metavar="FILE", help="query: write the answer as CSV")
     parser.add_argument(
         "--parquet", type=output_file(".parquet"), metavar="FILE", help="query: write the answer as Parquet"
     )
+    parser.add_argument("--recipe", type=Path, metavar="FILE", help="export: the recipe of the training set")
     parser.add_argument("--html", type=output_file(".html"), metavar="FILE", help="report: the page to write")
     add_overwrite(parser)
     group = parser.add_argument_group("where the files are read")
@@ -109,7 +118,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    for name, action in (("csv", QUERY), ("parquet", QUERY), ("html", REPORT)):
+    for name, action in (("csv", QUERY), ("parquet", QUERY), ("html", REPORT), ("recipe", EXPORT)):
         if getattr(options, name) and options.action != action:
             raise ConfigError(f"--{name}: found it with {options.action}, expected it with {action}")
     if options.action == QUERY:
@@ -168,21 +177,17 @@ def _run_report(options: argparse.Namespace) -> int:
 
 def _run_files(options: argparse.Namespace) -> int:
     _check(options)
+    if options.action == EXPORT:
+        return _run_export(options)
     from igtl_gateway.addons.cohort.results import Results
-    from igtl_gateway.addons.cohort.run import RunPlace, RunSettings
+    from igtl_gateway.addons.cohort.run import RunSettings
     from igtl_gateway.addons.cohort.running import run_cohort
     from igtl_gateway.addons.cohort.sources import locate
 
     results = Results(options.output)
     files = locate(options.sources)
     work = RunSettings(options.action, _settings(options), options.limit, options.memory_mib << 20, options.timeout)
-    where = RunPlace(
-        options.workers or usable_cpus(),
-        options.scheduler,
-        options.tls_ca,
-        options.tls_cert,
-        options.tls_key,
-    )
+    where = _place(options)
     with Progress(quiet=options.json) as progress:
         summary = run_cohort(work, files, results, where, progress)
     # without a name, nothing to do is a result: a folder may have sessions without a plan
@@ -204,6 +209,23 @@ def _run_files(options: argparse.Namespace) -> int:
             (command("cohort", REPORT, "-o", options.output, "--html", "report.html"), "write a page about them"),
         )
     return int(bool(summary.failed or summary.different or is_nowhere))
+
+
+def _run_export(options: argparse.Namespace) -> int:
+    from igtl_gateway.addons.cohort.exporting import LEROBOT, run_export
+
+    check_present(LEROBOT)
+    if options.recipe is None:
+        raise ConfigError("cohort export: found no --recipe, expected the recipe of the training set")
+    return run_export(options, _place(options))
+
+
+def _place(options: argparse.Namespace) -> RunPlace:
+    from igtl_gateway.addons.cohort.run import RunPlace
+
+    return RunPlace(
+        options.workers or usable_cpus(), options.scheduler, options.tls_ca, options.tls_cert, options.tls_key
+    )
 
 
 def _check(options: argparse.Namespace) -> None:

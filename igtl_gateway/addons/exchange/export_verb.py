@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from pathlib import Path
 
 from igtl_gateway.addon import NS_PER_S
 from igtl_gateway.addon.processes import part_of
 from igtl_gateway.addon.streams import GAP_NS
 from igtl_gateway.addon.terminal import (
-    add_file,
     add_json,
     add_output,
     add_streams,
@@ -51,7 +51,9 @@ exit code 1 if messages of the selected streams cannot be written, or if
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_file(parser)
+    parser.add_argument(
+        "files", metavar="FILE", type=Path, nargs="+", help=f"recording (MCAP); --to {LEROBOT} takes several"
+    )
     parser.add_argument(
         "--to", choices=(*TARGETS, LEROBOT), required=True, metavar="FORMAT", help="format to write, see below"
     )

@@ -37,6 +37,9 @@ def run(options: argparse.Namespace) -> int:
         return int(part_of(LEROBOT, "verb:run_lerobot")(options))
     if LEROBOT_ROW:
         part_of(LEROBOT, "verb:refuse_lerobot_options")(options)
+    if len(options.files) > 1:
+        raise ConfigError(f"--to {options.to}: found {len(options.files)} recordings, expected one")
+    options.file = options.files[0]
     if options.output is None:
         raise ConfigError("-o: found none, expected the file or directory to write")
     try:

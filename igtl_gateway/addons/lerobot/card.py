@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 from igtl_gateway.addon import __version__
 from igtl_gateway.addon.untrusted import printable
-from igtl_gateway.addon.writing import write_text
 from igtl_gateway.addons.lerobot.card_streams import Facts
 from igtl_gateway.addons.lerobot.frames import Plan
-from igtl_gateway.addons.lerobot.splits import divided, listed
+from igtl_gateway.addons.lerobot.recipe import Recipe
+from igtl_gateway.addons.lerobot.splits import MOST_LISTED, divided, listed
 from igtl_gateway.addons.sync.lag import Lag, Verdict
 
 _UNKNOWN = "not stated"
@@ -27,11 +27,41 @@ HEADINGS = {
 _OVERVIEW = ("data_type", "license", "version")
 
 
-def write_card(plan: Plan, meta: Path, streams: list[Facts]) -> None:
-    """Write both files of the card."""
-    synchronization = list(_synchronization(plan, streams))
-    write_text(meta / "SYNCHRONIZATION.md", "\n".join(synchronization) + "\n")
-    write_text(meta / "README.md", "\n".join(_readme(plan, streams)) + "\n")
+@dataclass(frozen=True, slots=True)
+class CardFacts:
+    """What the card has about a data set.
+
+    Attributes:
+        recipe: of the set.
+        tasks: in the order of their numbers.
+        sessions, episodes, frames: their number; no sessions where they are not known.
+        splits: name → its episodes.
+        unaligned: episodes with streams that were not aligned.
+        spaces: lines about the features.
+        approach: lines about clock and sampling.
+        notes: of the clocks, of all sessions.
+    """
+
+    recipe: Recipe
+    tasks: Sequence[str]
+    sessions: int
+    episodes: int
+    frames: int
+    splits: Mapping[str, str]
+    unaligned: int
+    spaces: Sequence[str]
+    approach: Sequence[str]
+    notes: Sequence[str]
+
+
+def card(facts: CardFacts) -> str:
+    """Return ``meta/README.md``."""
+    return "\n".join(_readme(facts)) + "\n"
+
+
+def synchronization(plan: Plan, streams: list[Facts], name: str) -> str:
+    """Return the part of a session, whose file has this name, in ``meta/SYNCHRONIZATION.md``."""
+    return "\n".join(_synchronization(plan, streams, name)) + "\n"
 
 
 def _cell(text: str) -> str:
@@ -40,13 +70,13 @@ def _cell(text: str) -> str:
     return safe.translate({ord(each): f"\\{each}" for each in "\\|<>[]*`"})
 
 
-def _readme(plan: Plan, streams: list[Facts]) -> Iterator[str]:
-    recipe, card = plan.recipe, dict(plan.recipe.card or {})
+def _readme(facts: CardFacts) -> Iterator[str]:
+    recipe, card = facts.recipe, dict(facts.recipe.card or {})
 
     def stated(name: str) -> str:
         return _cell(card.pop(name, _UNKNOWN))
 
-    hours = plan.frame_count / recipe.fps / 3600
+    hours = facts.frames / recipe.fps / 3600
     yield f"# {stated('title') if 'title' in card else _cell(recipe.task)}"
     yield ""
     yield "## At a glance"
@@ -56,9 +86,11 @@ def _readme(plan: Plan, streams: list[Facts]) -> Iterator[str]:
     yield "## Dataset overview"
     yield ""
     yield from _rows(
-        ("total trajectories", f"{len(plan.episodes):,}"),
+        ("total trajectories", f"{facts.episodes:,}"),
+        ("sessions", f"{facts.sessions:,}"),
+        *((f"split {_cell(name)}", f"episodes {text}") for name, text in facts.splits.items()),
         ("total hours", f"{hours:.3f}"),
-        ("frames", f"{plan.frame_count:,} at {recipe.fps} per second"),
+        ("frames", f"{facts.frames:,} at {recipe.fps} per second"),
         ("format", f"LeRobot {recipe.format}"),
         ("robot type", _cell(recipe.robot_type)),
         *((name.replace("_", " "), stated(name)) for name in _OVERVIEW),
@@ -67,19 +99,20 @@ def _readme(plan: Plan, streams: list[Facts]) -> Iterator[str]:
     for heading, names in HEADINGS.items():
         yield from ("", f"## {heading}", "")
         if heading == "Tasks and domain":
-            yield from (f"* task {number}: {_cell(text)}" for number, text in enumerate(plan.tasks))
+            yield from (f"* task {number}: {_cell(text)}" for number, text in enumerate(facts.tasks))
         yield from (f"* {name.replace('_', ' ')}: {stated(name)}" for name in names)
     yield from ("", "## Action and state space", "")
-    yield from _spaces(plan)
+    yield from facts.spaces
     yield from ("", "## Data synchronization approach", "")
-    yield from _approach(plan)
-    unaligned = sum(bool(names) for names in _unaligned(plan, streams))
-    yield f"**Episodes with streams that were not aligned: {unaligned:,} of {len(plan.episodes):,}.**"
+    yield from facts.approach
+    yield from _notes(facts.notes)
+    yield f"**Episodes with streams that were not aligned: {facts.unaligned:,} of {facts.episodes:,}.**"
     yield "[SYNCHRONIZATION.md](SYNCHRONIZATION.md) has rates, jitter, gaps and measured lags of each stream."
     yield from ("", "## Frames and messages", "")
     yield (
-        "`provenance.parquet` has for each frame (`index`) its time (`time_ns`), and for each stream entry number and "
-        "stamp of the messages that it was made of. Readers of LeRobot ignore this file."
+        "`provenance.parquet`, of further sessions `provenance-000001.parquet` …, has for each frame (`index`) its "
+        "time (`time_ns`), and for each stream entry number and stamp of the messages that it was made of; "
+        "`sessions.json` has the sessions. Readers of LeRobot ignore these files."
     )
     if card:
         yield from ("", "## Further statements", "")
@@ -92,7 +125,8 @@ def _rows(*rows: tuple[str, ...], titles: tuple[str, ...] = ("", "")) -> Iterato
     yield from (f"| {' | '.join(row)} |" for row in rows)
 
 
-def _spaces(plan: Plan) -> Iterator[str]:
+def spaces(plan: Plan) -> Iterator[str]:
+    """Yield the lines about the features."""
     rows = []
     for name in plan.recipe.names:
         samples = plan.of(name)
@@ -122,12 +156,13 @@ def _representation(plan: Plan, name: str) -> str:
     return "; ".join(dict.fromkeys(found))
 
 
-def _approach(plan: Plan) -> Iterator[str]:
+def approach(recipe: Recipe, name: str) -> Iterator[str]:
+    """Yield the lines about the clock of this name, and about sampling."""
     clock = {
         "source": "the stamps of the senders (`header.stamp` of ROS; every message has one)",
         "gateway": "the times at which the gateway received the messages, so delays of transport are part of them",
-    }[plan.clock]
-    yield f"Frames are {plan.recipe.fps} per second, on {clock}. A frame is the state of all streams at one moment:"
+    }[name]
+    yield f"Frames are {recipe.fps} per second, on {clock}. A frame is the state of all streams at one moment:"
     yield "streams are sampled at that moment, and `timestamp` is frame index / fps. Rules of sampling:"
     yield ""
     yield "* `nearest`: the message nearest in time, before or after the frame."
@@ -136,16 +171,22 @@ def _approach(plan: Plan) -> Iterator[str]:
     yield ""
     yield "An episode ends where a stream has a gap above its tolerance, unless the recipe holds the last sample."
     yield ""
-    for note in plan.joined.notes:
+
+
+def _notes(notes: Sequence[str]) -> Iterator[str]:
+    for note in notes[:MOST_LISTED]:
         yield from (_cell(f"Note: {note}."), "")
+    if len(notes) > MOST_LISTED:
+        yield from (f"{len(notes) - MOST_LISTED:,} more notes: SYNCHRONIZATION.md.", "")
 
 
-def _synchronization(plan: Plan, streams: list[Facts]) -> Iterator[str]:
-    yield "# Synchronization"
+def _synchronization(plan: Plan, streams: list[Facts], name: str) -> Iterator[str]:
+    yield f"# Synchronization of {_cell(name)}"
     yield ""
     yield "Generated from the recording by igtl-gateway. Times are in milliseconds."
     yield ""
-    yield from _approach(plan)
+    yield from approach(plan.recipe, plan.clock)
+    yield from _notes(plan.joined.notes)
     yield from ("## Streams", "")
     titles = (
         "feature", "stream", "messages", "unusable", "duplicate", "out of order", "rate", "jitter", "largest gap",
@@ -190,7 +231,7 @@ def _synchronization(plan: Plan, streams: list[Facts]) -> Iterator[str]:
         ))  # fmt: skip
     yield from _rows(*uses, titles=uses_titles)
     yield ""
-    yield f"The data set has {plan.frame_count:,} frames in {len(plan.episodes):,} episodes. Distance is the median,"
+    yield f"The session has {plan.frame_count:,} frames in {len(plan.episodes):,} episodes. Distance is the median,"
     yield "over the frames, of the time between frame and sample (the one before, for interpolate). Cuts are times"
     yield "without a value by the rule, between the first and the last sample; missing is their sum."
     yield ""
@@ -199,7 +240,8 @@ def _synchronization(plan: Plan, streams: list[Facts]) -> Iterator[str]:
         yield f"* demonstrations without a frame: {listed(plan.empty)}"
     yield f"* episodes beyond one for each demonstration: {plan.cuts:,}"
     for owner, episodes in divided(plan.owners).items():
-        yield f"* demonstration {owner} has a gap, or is too long: episodes {episodes[0]} to {episodes[-1]}"
+        begin, end = (plan.place.episode + each for each in (episodes[0], episodes[-1]))
+        yield f"* demonstration {owner} has a gap, or is too long: episodes {begin} to {end}"
     yield from (f"* split {_cell(name)}: episodes {text}" for name, text in plan.splits.items())
     yield from (f"* left out: {number:,} frames: {why}" for why, number in plan.left_out.items())
     yield from ("", "## Lags", "")
@@ -214,12 +256,13 @@ def _synchronization(plan: Plan, streams: list[Facts]) -> Iterator[str]:
     yield from ("", "## Episodes with streams that were not aligned", "")
     yield f"Streams whose stamps are used as recorded, although a lag of 0 behind `{_cell(first)}` was not measured."
     yield ""
-    unaligned = [(f"{number}", ", ".join(names) or "none") for number, names in enumerate(_unaligned(plan, streams))]
-    yield from _rows(*unaligned, titles=("episode", "not aligned"))
+    numbered = enumerate(unaligned(plan, streams), plan.place.episode)
+    rows_of_episodes = [(f"{number}", ", ".join(names) or "none") for number, names in numbered]
+    yield from _rows(*rows_of_episodes, titles=("episode", "not aligned"))
 
 
-def _unaligned(plan: Plan, streams: list[Facts]) -> Iterator[list[str]]:
-    """For each episode the streams that were not aligned, with their lags."""
+def unaligned(plan: Plan, streams: list[Facts]) -> Iterator[list[str]]:
+    """Yield for each episode the streams that were not aligned, with their lags."""
     names = {each.index: name for each in streams if (name := _not_aligned(each))}
     for episode in plan.episodes:
         used = [name for index, name in names.items() if episode.picks[index] is not None]

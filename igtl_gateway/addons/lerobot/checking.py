@@ -31,6 +31,8 @@ Array = npt.NDArray[Any]
 
 #: Range of episodes of a split.
 _RANGE = re.compile(r"([0-9]{1,9}):([0-9]{1,9})")
+#: Ranges of a split that are read.
+_MOST_RANGES = 10_000
 #: Extra columns, or files of no episode, that are listed.
 _MOST = 5
 #: Findings of a data set; a small table may state 200,000 episodes, each of which would be wrong.
@@ -92,7 +94,8 @@ def _metadata(found: FoundDataSet) -> Iterator[str]:
 def _splits(splits: dict[str, str], count: int, place: str) -> Iterator[str]:
     """Splits that are invalid or overlap, and episodes without a split."""
     owners: list[str] = [""] * count
-    for name, text in splits.items():
+    ranges = ((name, each) for name, text in splits.items() for each in text.split(",", _MOST_RANGES))
+    for name, text in ranges:
         found = _RANGE.fullmatch(text)
         start, end = (int(found[1]), int(found[2])) if found else (0, 0)
         if not start < end <= count:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -12,16 +13,21 @@ import numpy.typing as npt
 
 from igtl_gateway.addon import GatewayError
 from igtl_gateway.addon.reading import open_recording
-from igtl_gateway.addon.untrusted import parquet_columns
+from igtl_gateway.addon.untrusted import parquet_columns, printable
+from igtl_gateway.addons.lerobot.assembling import provenance_of
 from igtl_gateway.addons.lerobot.checking import check_rules, first_findings
 from igtl_gateway.addons.lerobot.checking_stats import numbers_of
 from igtl_gateway.addons.lerobot.columns import Tables, is_number, is_numeric, matrix_of
 from igtl_gateway.addons.lerobot.comparing_pictures import PictureCheck
-from igtl_gateway.addons.lerobot.frames import Episode, Plan, build
+from igtl_gateway.addons.lerobot.frames import Episode, Place, Plan, build
+from igtl_gateway.addons.lerobot.parts import content_digest
 from igtl_gateway.addons.lerobot.reading import FoundDataSet, read_total_stats
+from igtl_gateway.addons.lerobot.recipe import Recipe
 from igtl_gateway.addons.lerobot.recipe_file import read_recipe
-from igtl_gateway.addons.lerobot.stats import QUANTILES, Stats, number_stats
-from igtl_gateway.addons.lerobot.writing import PROVENANCE, RECIPE, facts_of, own_columns, trace_of
+from igtl_gateway.addons.lerobot.session_list import SESSIONS, SessionList, read_session_list
+from igtl_gateway.addons.lerobot.splits import ranges_of
+from igtl_gateway.addons.lerobot.stats import QUANTILES, PictureStats, Stats, number_stats
+from igtl_gateway.addons.lerobot.writing import RECIPE, facts_of, own_columns, trace_of
 
 Array = npt.NDArray[Any]
 
@@ -29,41 +35,128 @@ Array = npt.NDArray[Any]
 _STATISTIC = 1e-9
 
 
-def check(root: Path, path: Path) -> tuple[FoundDataSet | None, list[str]]:
-    """Check a data set against the published rules and against its recording.
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """What was found.
 
-    Returns:
-        The data set (None if it cannot be read), and the findings with place, found and expected.
+    Attributes:
+        found: the data set; None if it cannot be read.
+        findings: with place, found and expected.
+        notes: what was not compared.
+    """
 
-    Raises:
-        GatewayError: the recording cannot be read.
+    found: FoundDataSet | None
+    findings: list[str]
+    notes: list[str] = field(default_factory=list)
+
+
+def check(root: Path, paths: Sequence[Path]) -> Checked:
+    """Check a data set against the published rules and against its recordings, which may come in any order.
+
+    Raises GatewayError: a recording cannot be read.
     """
     found, findings = check_rules(root)
     if found is None:
-        return None, findings
-    with open_recording(path) as recording:
-        try:
-            plan = build(recording, read_recipe(root / "meta" / RECIPE))
-        except GatewayError as error:
-            return found, [*findings, f"cannot be compared with {path}: {error}"]
-        known = {_place(each) for each in findings}  # a value that a rule has found already
-        compared = (each for each in _compare(found, plan) if _place(each) not in known)
-        return found, first_findings(chain(findings, compared))
+        return Checked(None, findings)
+    notes: list[str] = []
+    try:
+        recipe, listed = read_recipe(root / "meta" / RECIPE), read_session_list(root)
+    except GatewayError as error:
+        return Checked(found, [*findings, f"cannot be compared with {paths[0]}: {error}"])
+    known = {_place(each) for each in findings}  # a value that a rule has found already
+    compared = (each for each in _sessions(found, recipe, listed, paths, notes) if _place(each) not in known)
+    return Checked(found, first_findings(chain(findings, compared)), notes)
 
 
 def _place(finding: str) -> str:
     return finding.partition(": found ")[0]
 
 
-def _compare(found: FoundDataSet, plan: Plan) -> Iterator[str]:
+@dataclass(slots=True)
+class _Totals:
+    """What the statistics of a whole data set are made of."""
+
+    numbers: dict[str, list[Array]] = field(default_factory=dict)
+    pictures: dict[str, PictureStats] = field(default_factory=dict)
+
+
+def _sessions(
+    found: FoundDataSet, recipe: Recipe, listed: SessionList | None, paths: Sequence[Path], notes: list[str]
+) -> Iterator[str]:
+    """Compare the sessions of a set with those recordings that they are of."""
+    sessions = listed.sessions if listed else ()
+    if sum(each.episodes for each in sessions) != len(found.episodes) and listed:
+        yield f"meta/{SESSIONS}: found other episodes than in the metadata, expected {len(found.episodes):,}"
+        return
+    given: dict[str, Path] = {}
+    for path in paths:
+        given[content_digest(path)] = path
+    if listed is None or len(sessions) == len(paths) == 1:
+        yield from _session(found, recipe, Place(), 0, paths[0], _Totals(), is_whole=len(paths) == 1)
+        return
+    yield from _splits_of_sessions(found, listed, recipe)
+    totals, episode, frame, compared = _Totals(), 0, 0, 0
+    names = {each.row: each.names for each in listed.rows if each.names}
+    for number, each in enumerate(sessions):
+        episodes = found.episodes[episode : episode + each.episodes]
+        if each.sha256 in given:
+            part = replace(found, episodes=episodes)
+            place = Place(episode, frame, tuple(found.tasks[key] for key in sorted(found.tasks)), names)
+            path = given.pop(each.sha256)
+            yield from (
+                f"{printable(path.name)}: {text}" for text in _session(part, recipe, place, number, path, totals)
+            )
+            compared += 1
+        episode, frame = episode + each.episodes, frame + sum(one.length for one in episodes)
+    for path in given.values():
+        yield f"{printable(str(path))}: found a recording that meta/{SESSIONS} does not list, expected one of the set"
+    if compared < len(sessions):
+        notes.append(
+            f"{len(sessions) - compared:,} of {len(sessions):,} sessions were not compared: no recording given"
+        )
+    elif not given:
+        yield from _totals(found, totals)
+
+
+def _splits_of_sessions(found: FoundDataSet, listed: SessionList, recipe: Recipe) -> Iterator[str]:
+    """Splits that are not those of the sessions, and groups in two splits."""
+    splits = [each.split for each in listed.sessions for _ in range(each.episodes)]
+    expected = ranges_of(splits)
+    if "" not in expected and found.info["splits"] != expected:
+        yield f"meta/info.json: splits: found {_short(found.info['splits'])}, expected {_short(expected)}"
+    owners: dict[str, str] = {}
+    for each in listed.sessions:
+        if owners.setdefault(each.group, each.split) != each.split and recipe.splits:
+            yield f"meta/{SESSIONS}: found {each.group!r} in {owners[each.group]} and {each.split}, expected one split"
+
+
+def _session(
+    found: FoundDataSet, recipe: Recipe, place: Place, number: int, path: Path, totals: _Totals, is_whole: bool = False
+) -> Iterator[str]:
+    """Compare the episodes of one session; ``is_whole``: the set has no others."""
+    with open_recording(path) as recording:
+        try:
+            plan = build(recording, recipe, place)
+        except GatewayError as error:
+            yield f"cannot be compared with {path}: {error}"
+            return
+        yield from _compare(found, plan, number, totals, is_whole=is_whole)
+    if is_whole:
+        yield from _totals(found, totals)
+
+
+def _compare(found: FoundDataSet, plan: Plan, number: int, totals: _Totals, *, is_whole: bool) -> Iterator[str]:
     expected = facts_of(plan)
     for name in sorted({*found.info["features"], *expected.features}):
         one, two = found.info["features"].get(name), expected.features.get(name)
         if one != two:
             yield f"meta/info.json: features.{name}: found {_short(one)}, expected {_short(two)}"
-    for key, wanted in (("fps", expected.fps), ("splits", expected.splits), ("robot_type", expected.robot_type)):
-        if found.info.get(key) != wanted:
-            yield f"meta/info.json: {key}: found {_short(found.info.get(key))}, expected {_short(wanted)}"
+    wanted: list[tuple[str, Any]] = [("fps", expected.fps), ("robot_type", expected.robot_type)]
+    if is_whole and (plan.splits or not plan.recipe.splits):
+        wanted.append(("splits", plan.splits or {"train": f"0:{len(plan.episodes)}"}))
+    for key, value in wanted:
+        if found.info.get(key) != value:
+            yield f"meta/info.json: {key}: found {_short(found.info.get(key))}, expected {_short(value)}"
     lengths = [each.length for each in found.episodes], [each.count for each in plan.episodes]
     if lengths[0] != lengths[1]:
         yield f"episodes: found {_short(lengths[0])} frames, expected {_short(lengths[1])} from the recording"
@@ -71,19 +164,18 @@ def _compare(found: FoundDataSet, plan: Plan) -> Iterator[str]:
     tables = Tables()
     for one, two in zip(found.episodes, plan.episodes, strict=True):
         if one.tasks != [two.task]:
-            yield f"episode {two.index}: tasks: found {_short(one.tasks)}, expected {_short([two.task])}"
+            yield f"episode {one.index}: tasks: found {_short(one.tasks)}, expected {_short([two.task])}"
         try:
             table = tables.of(one)
         except GatewayError:
             continue  # the rules have it
-        yield from (f"episode {two.index}: {each}" for each in _columns(plan, two, table))
-    yield from _provenance(found, plan)
-    yield from _statistics(found, plan)
+        yield from (f"episode {one.index}: {each}" for each in _columns(plan, two, table))
+    yield from _provenance(found, plan, provenance_of(number))
+    yield from _statistics(found, plan, totals)
 
 
-def _statistics(found: FoundDataSet, plan: Plan) -> Iterator[str]:
-    """Frames of the videos, and all statistics, as the export computes them."""
-    everything: dict[str, list[Array]] = {}
+def _statistics(found: FoundDataSet, plan: Plan, totals: _Totals) -> Iterator[str]:
+    """Frames of the videos, and the statistics of episodes, as the export computes them."""
     pictures = {
         name: PictureCheck(found, plan, name)
         for name in plan.recipe.names
@@ -91,27 +183,34 @@ def _statistics(found: FoundDataSet, plan: Plan) -> Iterator[str]:
     }
     for each in pictures.values():
         yield from each.frames()
-    first = 0
+    first = plan.place.frame
     for one, two in zip(found.episodes, plan.episodes, strict=True):
         columns = {name: plan.values(two, name) for name in plan.recipe.names if plan.kind(name) == "numbers"}
         expected: dict[str, Stats] = {}
         for name, values in (columns | own_columns(plan, two, first)).items():
             matrix = values.reshape(len(values), -1)
-            everything.setdefault(name, []).append(matrix)
+            totals.numbers.setdefault(name, []).append(matrix)
             expected[name] = number_stats(matrix)
         expected |= {name: each.stats(two.index) for name, each in pictures.items()}
         try:
-            yield from _differences(f"episode {two.index}: stats of ", one.read_stats(), expected, found.version)
+            yield from _differences(f"episode {one.index}: stats of ", one.read_stats(), expected, found.version)
         except GatewayError:
             return  # the rules have it
         first += two.count
-    if found.version == "v3.0":
-        total = {name: number_stats(np.concatenate(each)) for name, each in everything.items()}
-        total |= {name: each.total() for name, each in pictures.items()}
-        try:
-            yield from _differences("meta/stats.json: ", read_total_stats(found.root), total, found.version)
-        except GatewayError:
-            return
+    for name, check_of in pictures.items():
+        totals.pictures.setdefault(name, PictureStats()).join(check_of.total)
+
+
+def _totals(found: FoundDataSet, totals: _Totals) -> Iterator[str]:
+    """Wrong statistics of the whole set, which v3.0 has."""
+    if found.version != "v3.0":
+        return
+    total = {name: number_stats(np.concatenate(each)) for name, each in totals.numbers.items()}
+    total |= {name: each.stats() for name, each in totals.pictures.items()}
+    try:
+        yield from _differences("meta/stats.json: ", read_total_stats(found.root), total, found.version)
+    except GatewayError:
+        return
 
 
 def _differences(place: str, stats: Any, expected: dict[str, Stats], version: str) -> Iterator[str]:
@@ -162,22 +261,22 @@ def _shown(value: Any) -> str:
     return _short(repr(value))
 
 
-def _provenance(found: FoundDataSet, plan: Plan) -> Iterator[str]:
-    path = found.root / "meta" / PROVENANCE
+def _provenance(found: FoundDataSet, plan: Plan, file: str) -> Iterator[str]:
+    path = found.root / "meta" / file
     expected = trace_of(plan)
     try:
         with parquet_columns(path) as columns:
             if columns.schema.names != expected.schema.names or columns.rows != expected.num_rows:
-                yield f"meta/{PROVENANCE}: found other columns or rows, expected those of the recipe"
+                yield f"meta/{file}: found other columns or rows, expected those of the recipe"
                 return
             for name in expected.schema.names:  # each alone, and only numbers: none has more memory than it should
                 is_plain = is_number(columns.schema.field(name).type)
                 if not is_plain or not is_numeric(table := columns.read([name]), name):
-                    yield f"meta/{PROVENANCE}: {name}: found missing values or no numbers, expected numbers"
+                    yield f"meta/{file}: {name}: found missing values or no numbers, expected numbers"
                     continue
                 one, two = matrix_of(table, name)[:, 0], matrix_of(expected, name)[:, 0]
                 if not np.array_equal(one, two):
                     row = int(np.argmax(one != two))
-                    yield f"meta/{PROVENANCE}: {name}: row {row}: found {one[row]}, expected {two[row]}"
+                    yield f"meta/{file}: {name}: row {row}: found {one[row]}, expected {two[row]}"
     except GatewayError as error:
         yield str(error)

@@ -45,25 +45,24 @@ class PictureCheck:
         found: the data set, whose episodes have the lengths of the plan.
         plan: the frames that it should have.
         name: the feature.
+
+    Attributes:
+        total: the pictures of all episodes that :meth:`stats` was called for.
     """
 
     def __init__(self, found: FoundDataSet, plan: Plan, name: str) -> None:
         self._found, self._plan, self._name = found, plan, name
         self._samples: Samples = plan.of(name)[0]
         self._row = plan.recipe.rows(name)[0]
-        self._total = PictureStats()
+        self.total = PictureStats()
 
     def stats(self, episode: int) -> Stats:
-        """Return the statistics of the pictures of an episode, of which the exporter takes samples."""
+        """Return the statistics of the pictures of an episode of the session, of which the exporter takes samples."""
         found = PictureStats()
         for frame in sampled(self._plan.episodes[episode].count).tolist():
             found.add(self._picture(episode, frame))
-        self._total.join(found)
+        self.total.join(found)
         return found.stats()
-
-    def total(self) -> Stats:
-        """Return the statistics of all episodes that :meth:`stats` was called for."""
-        return self._total.stats()
 
     def frames(self) -> Iterator[str]:
         """Yield the frames that are not the picture of their time, with the loss of coding."""
@@ -94,7 +93,7 @@ class PictureCheck:
         listed, is_usual, others = 0, True, set[int]()
         near: dict[int, Pixels] = {}
         for number, (episode, frame, picture) in enumerate(pictures_of(self._found, self._name, path, parts)):
-            own = self._own(episode.index, frame)
+            own = self._own(episode.index - self._plan.place.episode, frame)
             around = range(max(own - _NEIGHBOURS, 0), min(own + _NEIGHBOURS + 1, len(self._samples.times)))
             near = {each: near[each] if each in near else self._of(each) for each in around}
             is_usual &= bool((_blocks(picture, near[own]) <= _USUAL).all())
@@ -116,13 +115,14 @@ class PictureCheck:
     def _losses(self, path: Path, parts: Parts, pictures: Pictures, others: set[int]) -> Iterator[str]:
         """Frames that differ by more than coding does; ``others`` are reported already."""
         recipe, listed = self._plan.recipe, 0
-        wanted = (self._picture(each.index, frame) for each, _ in parts for frame in range(each.length))
+        first = self._plan.place.episode
+        wanted = (self._picture(each.index - first, frame) for each, _ in parts for frame in range(each.length))
         again = coded(wanted, pictures.padded, recipe.fps, recipe.codec)
         both = zip(pictures_of(self._found, self._name, path, parts), again, strict=False)
         for number, ((episode, frame, picture), expected) in enumerate(both):
             if number in others or np.array_equal(picture, expected):
                 continue
-            loss = _around(_blocks(expected, self._picture(episode.index, frame)))
+            loss = _around(_blocks(expected, self._picture(episode.index - first, frame)))
             found, most = _blocks(picture, expected), _PART * loss + _USUAL
             wrong = found > most
             if wrong.any():
@@ -134,7 +134,7 @@ class PictureCheck:
                     f"episode {episode.index}: {self._name}: frame {frame}: found a mean squared difference of "
                     f"{found[row, column]:,.0f} around pixel ({column * _BLOCK + _BLOCK // 2}, "
                     f"{row * _BLOCK + _BLOCK // 2}), expected at most {most[row, column]:,.0f} to "
-                    f"the coded picture of entry {self._samples.entries[self._own(episode.index, frame)]}"
+                    f"the coded picture of entry {self._samples.entries[self._own(episode.index - first, frame)]}"
                 )
 
 

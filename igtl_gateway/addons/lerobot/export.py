@@ -1,15 +1,45 @@
-"""``export --to lerobot``: recording and recipe → data set."""
+"""``export --to lerobot`` and ``cohort export``: sessions and a recipe → one data set.
+
+All sessions are described and compared before anything is written.  Their order in the set is that of their splits and
+of time, and each has files of its own, so neither the order in which they are named nor the number of workers changes a
+byte.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
-from igtl_gateway.addon.reading import open_recording
-from igtl_gateway.addons.lerobot.card_streams import Facts, stream_facts
-from igtl_gateway.addons.lerobot.frames import Plan, build
+from igtl_gateway.addon import ConfigError, GatewayError
+from igtl_gateway.addon.untrusted import check_limit, printable, read_bytes
+from igtl_gateway.addon.writing import make_folder, written_folder
+from igtl_gateway.addons.lerobot.assembling import Part, SetSoFar, assemble
+from igtl_gateway.addons.lerobot.frames import MAX_FRAMES, Place
+from igtl_gateway.addons.lerobot.parts import DESCRIBE, WRITE, Job, run_job
+from igtl_gateway.addons.lerobot.recipe import Recipe
 from igtl_gateway.addons.lerobot.recipe_file import read_recipe
-from igtl_gateway.addons.lerobot.writing import check_out, write_data_set
+from igtl_gateway.addons.lerobot.schema import Described, Schema, differences, schema_of
+from igtl_gateway.addons.lerobot.splits import Group, assigned, group_of, has_ranges, ranges_of, unused_names
+from igtl_gateway.addons.lerobot.writing import check_out
+
+#: Sessions that an error lists.
+_MOST = 5
+_PARTS = "parts"
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """The result of a job: its reply, or the error."""
+
+    value: Mapping[str, Any]
+    error: Exception | None = None
+
+
+#: Does jobs, in any order, and yields the number of each with its reply.
+Runner = Callable[[Sequence[Job]], Iterator[tuple[int, Reply]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,25 +47,209 @@ class Exported:
     """What was written.
 
     Attributes:
-        plan: the frames.
-        streams: what was found about the streams.
-        files: number of files.
+        recipe: of the set.
+        parts: of the sessions, in their order in the set.
+        totals: what the set has now.
+        splits: name → its episodes.
+        files: number of files of the set.
     """
 
-    plan: Plan
-    streams: list[Facts]
+    recipe: Recipe
+    parts: Sequence[Part]
+    totals: SetSoFar
+    splits: Mapping[str, str]
     files: int
 
 
+def here(jobs: Sequence[Job]) -> Iterator[tuple[int, Reply]]:
+    """Do jobs in this process."""
+    for number, job in enumerate(jobs):
+        try:
+            yield number, Reply(run_job(job.to_dict()))
+        except (GatewayError, OSError) as error:
+            yield number, Reply({}, error)
+
+
 def export_lerobot(path: Path, recipe_path: Path, out: Path) -> Exported:
+    """Write a data set of one session; see `export_sessions`."""
+    return export_sessions([path], recipe_path, out)
+
+
+def export_sessions(paths: Sequence[Path], recipe_path: Path, out: Path, do: Runner = here) -> Exported:
     """Write a data set to a new or empty directory.
 
-    Raises ConfigError for a recipe that does not fit, GatewayError, OSError.
+    Args:
+        paths: of the recordings, in any order.
+        recipe_path: of the recipe.
+        out: the directory.
+        do: runs the jobs of the sessions.
+
+    Raises:
+        ConfigError: the recipe does not fit, or sessions differ; the error names them.
+        GatewayError: a session cannot be read, or has no frame.
+        OSError: the set cannot be written.
     """
-    recipe = read_recipe(recipe_path)
+    recipe, text = read_recipe(recipe_path), read_bytes(recipe_path)
     check_out(out)
-    with open_recording(path) as recording:
-        plan = build(recording, recipe)
-        streams = stream_facts(recording, plan)
-        files = write_data_set(plan, out, recipe_path, streams)
-    return Exported(plan, streams, files)
+    sessions = describe(paths, recipe_path, recipe, do)
+    schema = schema_of(sessions)
+    check_schema(sessions, schema, recipe)
+    groups = groups_of(sessions, recipe)
+    splits = splits_of_groups(sessions, groups, recipe)
+    names = list(recipe.splits or ())
+    rank = {name: number for number, name in enumerate(names)}
+    sessions.sort(key=lambda each: (rank.get(splits[each.path], 0), *each.order))
+    with written_folder(out) as root:
+        so_far = SetSoFar()
+        parts = write_parts(root, sessions, groups, splits, recipe_path, schema, so_far, do)
+        assemble(root, recipe, text, schema, so_far, parts)
+        shutil.rmtree(root / _PARTS)
+        files = sum(each.is_file() for each in root.rglob("*"))
+    return Exported(recipe, parts, so_far, split_ranges(parts, so_far), files)
+
+
+def describe(paths: Sequence[Path], recipe_path: Path, recipe: Recipe, do: Runner) -> list[Described]:
+    """Return the descriptions of sessions in the order of time.
+
+    Raises ConfigError for one that comes twice or does not fit, GatewayError.
+    """
+    if has_ranges(recipe.splits) and len(paths) > 1:
+        name, value = next(iter((recipe.splits or {}).items()))
+        raise ConfigError(
+            f"splits.{name}: found {value!r}, a range of demonstrations, with {len(paths)} sessions, expected shares "
+            'such as 0.8, or names of sessions or patients such as ["P01", "P02"]'
+        )
+    jobs = [Job(DESCRIBE, str(path.absolute()), str(recipe_path.absolute())) for path in paths]
+    found = sorted((Described.of(each) for each in _replies(jobs, do)), key=lambda each: (*each.order, each.path))
+    owners: dict[str, Described] = {}
+    for each in found:
+        other = owners.setdefault(each.sha256, each)
+        if other is not each:
+            raise ConfigError(
+                f"found the content of {printable(other.path)} in {printable(each.path)}, too, expected each session "
+                "once"
+            )
+    return found
+
+
+def _replies(jobs: Sequence[Job], do: Runner) -> list[Mapping[str, Any]]:
+    """The replies in the order of the jobs.  Raises an error that names all sessions without one."""
+    found: dict[int, Reply] = dict(do(jobs))
+    failed = {number: reply.error for number, reply in sorted(found.items()) if reply.error is not None}
+    if not failed:
+        return [found[number].value for number in range(len(jobs))]
+    if len(jobs) == 1:
+        raise next(iter(failed.values()))
+    for error in failed.values():
+        if isinstance(error, OSError):
+            raise error
+    texts = []
+    for number, error in failed.items():
+        place = jobs[number].path
+        texts.append(f"{printable(Path(place).name)}: {str(error).replace(f'{place}: ', '')}")
+    raise _together(len(jobs), texts, is_config=any(isinstance(each, ConfigError) for each in failed.values()))
+
+
+def _together(count: int, texts: Sequence[str], *, is_config: bool = True) -> GatewayError:
+    more = f"; and {len(texts) - _MOST:,} more" if len(texts) > _MOST else ""
+    text = f"{len(texts):,} of {count:,} sessions do not fit: {'; '.join(texts[:_MOST])}{more}"
+    return ConfigError(text) if is_config else GatewayError(text)
+
+
+def check_schema(sessions: Sequence[Described], schema: Schema, recipe: Recipe) -> None:
+    """Raise ConfigError for sessions that differ from a schema, GatewayError for too many frames."""
+    texts = []
+    for each in sessions:
+        if found := differences(each, schema, recipe):
+            more = f" and {len(found) - 1:,} more" if len(found) > 1 else ""
+            texts.append(f"{printable(each.name)}: {found[0]}{more}")
+    if texts:
+        raise _together(len(sessions), texts)
+
+
+def groups_of(sessions: Sequence[Described], recipe: Recipe) -> dict[str, str]:
+    """Return the path of each session → its group.  Raises ConfigError for two sessions of one name."""
+    found = {each.path: group_of(each.path, recipe.patient) for each in sessions}
+    if not recipe.patient and recipe.splits:
+        for each in sessions:
+            twice = [path for path, group in found.items() if group == found[each.path]]
+            if len(twice) > 1:
+                raise ConfigError(
+                    f"splits: found {' and '.join(map(printable, twice[:2]))}, expected different names of sessions, "
+                    'or splits.patient = "{patient}/*" if the folder is the patient'
+                )
+    return found
+
+
+def splits_of_groups(
+    sessions: Sequence[Described], groups: Mapping[str, str], recipe: Recipe, known: Mapping[str, Group] | None = None
+) -> dict[str, str]:
+    """Return the path of each session → its split, "" for ranges of demonstrations.
+
+    Args:
+        sessions: in the order of time.
+        groups: path → group.
+        recipe: of the set.
+        known: the groups that the set has; None: it is new.
+
+    Raises ConfigError for a group in no split or in two, and for a new set with a name that no group has.
+    """
+    if has_ranges(recipe.splits):
+        return {each.path: "" for each in sessions}
+    found = dict(known or {})
+    for each in sessions:
+        name = groups[each.path]
+        other = found.get(name, Group(name, 0))
+        found[name] = replace(other, frames=other.frames + (0 if other.split else each.frames))
+    splits = assigned(recipe.splits, list(found.values()))
+    if known is None and (unused := unused_names(recipe.splits, list(found))):
+        raise ConfigError(f"{unused[0]}: found no session or patient of this name, expected one of {_few(found)}")
+    return {each.path: splits[groups[each.path]] for each in sessions}
+
+
+def _few(names: Mapping[str, Any]) -> str:
+    texts = [printable(each) for each in names]
+    return ", ".join(texts[:_MOST]) + (f" and {len(texts) - _MOST:,} more" if len(texts) > _MOST else "")
+
+
+def write_parts(
+    root: Path,
+    sessions: Sequence[Described],
+    groups: Mapping[str, str],
+    splits: Mapping[str, str],
+    recipe_path: Path,
+    schema: Schema,
+    so_far: SetSoFar,
+    do: Runner,
+) -> list[Part]:
+    """Write the parts of sessions into a folder of the data set, and return them.
+
+    ``so_far.tasks`` gets their tasks.  Raises GatewayError, OSError.
+    """
+    folder, episode, frame = root / _PARTS, so_far.episodes, so_far.frames
+    check_limit("count", episode + sum(len(each.episodes) for each in sessions), "episodes of the data set")
+    if frame + sum(each.frames for each in sessions) > MAX_FRAMES:
+        raise GatewayError(f"found more than {MAX_FRAMES:,} frames in all sessions, expected fewer")
+    make_folder(folder)
+    so_far.tasks = list(dict.fromkeys([*so_far.tasks, *(task for each in sessions for _, task in each.episodes)]))
+    jobs = []
+    for number, each in enumerate(sessions):
+        place = Place(episode, frame, tuple(so_far.tasks), schema.names)
+        part = str((folder / f"{number:06d}").absolute())
+        jobs.append(Job(WRITE, each.path, str(recipe_path.absolute()), part, place))
+        episode, frame = episode + len(each.episodes), frame + each.frames
+    replies = _replies(jobs, do)
+    for each, reply in zip(sessions, replies, strict=True):
+        if reply["features"] != schema.features:
+            raise GatewayError(
+                f"{printable(each.name)}: it changed while it was read, expected a recording that is complete"
+            )
+    return [
+        Part(each, groups[each.path], splits[each.path], Path(job.part), reply)
+        for each, job, reply in zip(sessions, jobs, replies, strict=True)
+    ]
+
+
+def split_ranges(parts: Sequence[Part], so_far: SetSoFar) -> dict[str, str]:
+    """Return the episodes of each split."""
+    return dict(parts[0].session.splits) or ranges_of(so_far.splits)

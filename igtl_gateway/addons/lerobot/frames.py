@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +16,7 @@ from igtl_gateway.addons.lerobot.episodes import Span, longest, parts_of, spans_
 from igtl_gateway.addons.lerobot.recipe import Feature, Recipe
 from igtl_gateway.addons.lerobot.resampling import Picks, common, coverage, frame_count, moments, pick
 from igtl_gateway.addons.lerobot.samples import JoinedStreams, Samples, read_samples, stream_of
-from igtl_gateway.addons.lerobot.splits import splits_of
+from igtl_gateway.addons.lerobot.splits import has_ranges, splits_of
 
 Array = npt.NDArray[Any]
 Times = npt.NDArray[np.int64]
@@ -29,7 +30,7 @@ class Episode:
     """An episode.
 
     Attributes:
-        index: number in the data set.
+        index: number in the session.
         demonstration: number of the part of the recording that it is from.
         task: what is done.
         count: number of frames.
@@ -46,9 +47,25 @@ class Episode:
     picks: tuple[Picks | None, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a session is in the data set.
+
+    Attributes:
+        episode, frame: number of its first one.
+        tasks: of the data set; empty: those of the session.
+        names: row of the recipe → names of its numbers in the order of the data set; a row without them has its own.
+    """
+
+    episode: int = 0
+    frame: int = 0
+    tasks: tuple[str, ...] = ()
+    names: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
+
+
 @dataclass(slots=True)
 class Plan:
-    """All frames of the data set.
+    """All frames of a session.
 
     Attributes:
         recipe: the recipe.
@@ -57,7 +74,8 @@ class Plan:
         episodes: the episodes.
         left_out: reason → frames that are in no episode.
         demonstrations: parts of the recording that ``[episodes]`` describes, with and without frames.
-        splits: name → range of episodes.
+        splits: name → range of episodes, if the recipe has ranges of demonstrations.
+        place: where the session is in the data set.
     """
 
     recipe: Recipe
@@ -67,6 +85,7 @@ class Plan:
     left_out: dict[str, int] = field(default_factory=dict)
     demonstrations: int = 0
     splits: dict[str, str] = field(default_factory=dict)
+    place: Place = field(default_factory=Place)
 
     @property
     def clock(self) -> str:
@@ -95,8 +114,8 @@ class Plan:
 
     @property
     def tasks(self) -> list[str]:
-        """The tasks, in the order of their numbers."""
-        return list(dict.fromkeys(each.task for each in self.episodes))
+        """The tasks of the data set, in the order of their numbers."""
+        return list(self.place.tasks or dict.fromkeys(each.task for each in self.episodes))
 
     def of(self, name: str) -> list[Samples]:
         """Return the samples of the rows of a feature; of the next value those of the other feature."""
@@ -155,8 +174,13 @@ def _short(row: Feature) -> str:
     return (row.frame or row.stream.rstrip("/").rpartition("/")[2] or row.stream).replace(" ", "_")
 
 
-def build(recording: Recording, recipe: Recipe) -> Plan:
-    """Return the frames of a data set.
+def build(recording: Recording, recipe: Recipe, place: Place | None = None) -> Plan:
+    """Return the frames of a session.
+
+    Args:
+        recording: the session.
+        recipe: of the data set.
+        place: where the session is in the data set; None: it is alone.
 
     Raises:
         ConfigError: the recipe and the recording do not fit, with place, found and expected.
@@ -168,9 +192,10 @@ def build(recording: Recording, recipe: Recipe) -> Plan:
     others = [recording[name] for name in sorted(events) if name in recording]
     joined = JoinedStreams(streams, recipe.clock, others)
     samples: list[Samples | None] = [None] * len(recipe.features)
+    place = place or Place()
     for number, row in rows:
-        samples[number] = read_samples(recording, row, joined, f"feature[{number}]")
-    plan = Plan(recipe, joined, samples)
+        samples[number] = read_samples(recording, row, joined, f"feature[{number}]", place.names.get(number, ()))
+    plan = Plan(recipe, joined, samples, place=place)
     _check_kinds(plan)
     found = [each for each in samples if each is not None]
     covered = coverage(found[0])
@@ -189,7 +214,9 @@ def build(recording: Recording, recipe: Recipe) -> Plan:
             "see tolerance_ms, clock and [episodes] of the recipe"
         )
     check_limit("count", len(plan.episodes), "episodes of the data set")
-    plan.splits = splits_of(recipe.splits, plan.demonstrations, plan.owners)
+    if recipe.splits and has_ranges(recipe.splits):
+        ranges = {name: str(value) for name, value in recipe.splits.items()}
+        plan.splits = splits_of(ranges, plan.demonstrations, plan.owners)
     return plan
 
 

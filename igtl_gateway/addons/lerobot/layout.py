@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -39,32 +39,38 @@ class Facts:
         codec: of the videos.
         sizes: feature → rows and columns of its video.
         features: name → description, for info.json.
-        tasks: the tasks, in the order of their numbers.
         robot_type: for info.json.
-        splits: name → range of episodes.
     """
 
     fps: int
     codec: str
     sizes: Mapping[str, tuple[int, int]]
     features: Mapping[str, Any]
-    tasks: list[str]
     robot_type: str
-    splits: Mapping[str, str]
 
 
 class Layout(Protocol):
-    """The writer of one format.  For each episode: ``video`` of each camera, then ``add``; at the end ``finish``."""
+    """The writer of the files of one session.
+
+    For each episode: ``video`` of each camera, then ``add``; at the end ``finish``.
+
+    Attributes:
+        rows: what the metadata have about each episode.
+        frames: number of frames so far.
+    """
+
+    rows: list[dict[str, Any]]
+    frames: int
 
     def video(self, name: str, episode: int, count: int) -> VideoFile: ...
     def end_video(self, name: str, episode: int, video: VideoFile) -> None: ...
     def add(self, episode: int, task: str, table: pa.Table, stats: Mapping[str, Stats]) -> None: ...
-    def finish(self, stats: Mapping[str, Stats]) -> None: ...
+    def finish(self) -> None: ...
 
 
-def layout_of(version: str, root: Path, facts: Facts) -> Layout:
-    """Return the writer of a format."""
-    return _Version21(root, facts) if version == "v2.1" else _Version30(root, facts)
+def layout_of(version: str, root: Path, facts: Facts, first_frame: int) -> Layout:
+    """Return the writer of a format; files of v3.0 are numbered from 0 on, whatever other sessions have."""
+    return _Version21(root, facts) if version == "v2.1" else _Version30(root, facts, first_frame)
 
 
 def float32_horizon_s() -> float:
@@ -80,26 +86,49 @@ def write_json(path: Path, value: Any) -> None:
     write_text(path, json.dumps(value, indent=4, ensure_ascii=False) + "\n")
 
 
-def _write_table(path: Path, table: pa.Table) -> None:
+def write_table(path: Path, table: pa.Table) -> None:
+    """Write a Parquet file to a folder that may be new."""
     make_folder(path.parent, parents=True, exist_ok=True)
     with open_new(path) as file:
         parquet.write_table(table, file, compression="snappy")
 
 
-def _info(version: str, facts: Facts, episodes: int, frames: int, more: Mapping[str, Any]) -> dict[str, Any]:
+def info_of(
+    version: str, facts: Facts, *, episodes: int, frames: int, tasks: int, splits: Mapping[str, str]
+) -> dict[str, Any]:
+    """Return the content of info.json."""
+    more = (
+        {"total_videos": episodes * len(facts.sizes), "total_chunks": -(-episodes // CHUNK)}
+        if version == "v2.1"
+        else {"data_files_size_in_mb": DATA_MB, "video_files_size_in_mb": VIDEO_MB}
+    )
     return {
         "codebase_version": version,
         "robot_type": facts.robot_type,
         "total_episodes": episodes,
         "total_frames": frames,
-        "total_tasks": len(facts.tasks),
+        "total_tasks": tasks,
         **more,
         "chunks_size": CHUNK,
         "fps": facts.fps,
-        "splits": dict(facts.splits),
+        "splits": dict(splits),
         **PATHS[version],
         "features": dict(facts.features),
     }
+
+
+def file_of(version: str, kind: str, number: int, camera: str = "") -> str:
+    """Return the path of a file in a data set of v3.0, or of an episode in one of v2.1.
+
+    Args:
+        version: of the format.
+        kind: ``data_path`` or ``video_path``.
+        number: of the file or the episode.
+        camera: feature of the video.
+    """
+    place = {"chunk_index": number // CHUNK, "file_index": number % CHUNK}
+    old = {"episode_chunk": number // CHUNK, "episode_index": number}
+    return PATHS[version][kind].format(**(old if version == "v2.1" else place), video_key=camera)
 
 
 @dataclass
@@ -108,37 +137,26 @@ class _Version21:
 
     root: Path
     facts: Facts
-    episodes: list[dict[str, Any]] = field(default_factory=list)
-    stats: list[dict[str, Any]] = field(default_factory=list)
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    frames: int = 0
 
     def video(self, name: str, episode: int, _count: int) -> VideoFile:
-        path = self.root / _V21["video_path"].format(
-            episode_chunk=episode // CHUNK, video_key=name, episode_index=episode
-        )
+        path = self.root / file_of("v2.1", "video_path", episode, name)
         return VideoFile(path, self.facts.sizes[name], self.facts.fps, self.facts.codec)
 
     def end_video(self, _name: str, _episode: int, video: VideoFile) -> None:
         video.close()
 
     def add(self, episode: int, task: str, table: pa.Table, stats: Mapping[str, Stats]) -> None:
-        path = _V21["data_path"].format(episode_chunk=episode // CHUNK, episode_index=episode)
-        _write_table(self.root / path, table)
-        self.episodes.append({"episode_index": episode, "tasks": [task], "length": table.num_rows})
+        write_table(self.root / file_of("v2.1", "data_path", episode), table)
         plain = {
             name: {key: value for key, value in each.items() if key not in QUANTILES} for name, each in stats.items()
         }
-        self.stats.append({"episode_index": episode, "stats": plain})
+        self.rows.append({"episode_index": episode, "tasks": [task], "length": table.num_rows, "stats": plain})
+        self.frames += table.num_rows
 
-    def finish(self, _stats: Mapping[str, Stats]) -> None:
-        meta = self.root / "meta"
-        count = len(self.episodes)
-        more = {"total_videos": count * len(self.facts.sizes), "total_chunks": -(-count // CHUNK)}
-        frames = sum(each["length"] for each in self.episodes)
-        write_json(meta / "info.json", _info("v2.1", self.facts, count, frames, more))
-        tasks = [{"task_index": number, "task": text} for number, text in enumerate(self.facts.tasks)]
-        for name, rows in (("tasks", tasks), ("episodes", self.episodes), ("episodes_stats", self.stats)):
-            lines = "".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows)
-            write_text(meta / f"{name}.jsonl", lines)
+    def finish(self) -> None:
+        """All is written."""
 
 
 @dataclass
@@ -155,6 +173,7 @@ class _Version30:
 
     root: Path
     facts: Facts
+    first_frame: int
     rows: list[dict[str, Any]] = field(default_factory=list)
     tables: list[pa.Table] = field(default_factory=list)
     data_file: int = 0
@@ -172,9 +191,7 @@ class _Version30:
                 is_open.file.close()
                 is_open, number = None, number + 1
         if is_open is None:
-            path = self.root / _V30["video_path"].format(
-                video_key=name, chunk_index=number // CHUNK, file_index=number % CHUNK
-            )
+            path = self.root / file_of("v3.0", "video_path", number, name)
             file = VideoFile(path, self.facts.sizes[name], fps, self.facts.codec)
             is_open = self.videos[name] = _OpenVideo(number, file)
         self.places |= {
@@ -197,8 +214,8 @@ class _Version30:
                 "length": table.num_rows,
                 "data/chunk_index": self.data_file // CHUNK,
                 "data/file_index": self.data_file % CHUNK,
-                "dataset_from_index": self.frames,
-                "dataset_to_index": self.frames + table.num_rows,
+                "dataset_from_index": self.first_frame + self.frames,
+                "dataset_to_index": self.first_frame + self.frames + table.num_rows,
                 **self.places,
                 **{f"stats/{name}/{key}": value for name, each in stats.items() for key, value in each.items()},
                 "meta/episodes/chunk_index": 0,
@@ -210,25 +227,24 @@ class _Version30:
         self.places = {}
 
     def _write_data(self) -> None:
-        path = _V30["data_path"].format(chunk_index=self.data_file // CHUNK, file_index=self.data_file % CHUNK)
-        _write_table(self.root / path, pa.concat_tables(self.tables))
+        path = self.root / file_of("v3.0", "data_path", self.data_file)
+        write_table(path, pa.concat_tables(self.tables))
         self.tables, self.data_file = [], self.data_file + 1
 
-    def finish(self, stats: Mapping[str, Stats]) -> None:
+    def finish(self) -> None:
+        """Write the last rows, and the ends of the videos."""
         self._write_data()
         for each in self.videos.values():
             each.file.close()
-        meta = self.root / "meta"
-        more = {"data_files_size_in_mb": DATA_MB, "video_files_size_in_mb": VIDEO_MB}
-        write_json(meta / "info.json", _info("v3.0", self.facts, len(self.rows), self.frames, more))
-        write_json(meta / "stats.json", stats)
-        _write_table(meta / "tasks.parquet", _tasks(self.facts.tasks))
-        names = {name: pa.array([row[name] for row in self.rows]) for name in self.rows[0]}
-        _write_table(meta / "episodes" / "chunk-000" / "file-000.parquet", pa.table(names))
 
 
-def _tasks(tasks: list[str]) -> pa.Table:
-    """The tasks as a data frame of pandas whose index has the name ``task``."""
+def episodes_table(rows: Sequence[Mapping[str, Any]]) -> pa.Table:
+    """Return what the metadata of v3.0 have about episodes."""
+    return pa.table({name: pa.array([row[name] for row in rows]) for name in rows[0]})
+
+
+def task_table(tasks: Sequence[str]) -> pa.Table:
+    """Return the tasks as a data frame of pandas whose index has the name ``task``."""
     number = {"name": "task_index", "field_name": "task_index", "pandas_type": "int64", "numpy_type": "int64"}
     text = {"name": "task", "field_name": "task", "pandas_type": "unicode", "numpy_type": "object"}
     columns = {"name": None, "field_name": None, "pandas_type": "unicode", "numpy_type": "object"}

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 FORMATS = ("v2.1", "v3.0")
+RATES = ("same", "any")
 CLOCKS = ("auto", "source", "gateway")
 CODECS = ("h264", "av1")
 RULES = ("nearest", "hold", "interpolate")
@@ -111,7 +112,10 @@ class Recipe:
         measure_lags: measure the lags between the streams for the card.
         features: the rows of ``[[feature]]``.
         episodes: the table ``[episodes]``.
-        splits: name → half-open range ``"0:8"`` of demonstrations.
+        rates: ``same``: sessions whose streams have other rates are refused; ``any``: they are not.
+        splits: name → share, or names of sessions or patients, or, for one session, a half-open range ``"0:8"`` of
+            demonstrations.
+        patient: what is a patient in the path of a session; "": each session is alone.
         card: heading of the card → text, of what the recording does not know.
     """
 
@@ -126,7 +130,9 @@ class Recipe:
     measure_lags: bool = True
     features: tuple[Feature, ...] = ()
     episodes: Cuts = Cuts()
-    splits: Mapping[str, str] | None = None
+    rates: str = "same"
+    splits: Mapping[str, str | float | tuple[str, ...]] | None = None
+    patient: str = ""
     card: Mapping[str, str] | None = None
 
     def rows(self, name: str) -> list[int]:

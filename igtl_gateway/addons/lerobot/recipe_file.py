@@ -21,6 +21,7 @@ from igtl_gateway.addons.lerobot.recipe import (
     FILLS,
     FORMATS,
     ORIENTATIONS,
+    RATES,
     RULES,
     STATE,
     Cuts,
@@ -28,9 +29,12 @@ from igtl_gateway.addons.lerobot.recipe import (
     Range,
     Recipe,
 )
+from igtl_gateway.addons.lerobot.splits import PATIENT
 
 _FEATURE = re.compile(r"(action|observation)(\.[A-Za-z0-9_-]+)*")
 MAX_FPS, _MAX_MS, _MAX_TEXT = 1000, 3_600_000, 2000
+#: Names of a split, characters of a name, and the error of a sum of shares.
+_MAX_NAMES, _MAX_PATTERN, _SHARES = 10_000, 200, 1e-6
 
 
 def read_recipe(path: Path) -> Recipe:
@@ -97,6 +101,7 @@ _DATASET: dict[str, Check] = {
     "clock": _choice(CLOCKS),
     "codec": _choice(CODECS),
     "min_frames": _whole(1, 1_000_000),
+    "rates": _choice(RATES),
     "split_long": _TRUTH,
     "measure_lags": _TRUTH,
 }
@@ -144,15 +149,52 @@ def _recipe(document: Mapping[str, Any]) -> Recipe:
         _of(Range, row, _RANGES, f"episodes.range[{number}]") for number, row in enumerate(ranges)))  # fmt: skip
     rows = _array(document.get("feature", []), "feature")
     features = tuple(_of(Feature, row, _FEATURES, f"feature[{number}]") for number, row in enumerate(rows))
-    texts = {name: _strings(_table(document.get(name, {}), name), name) for name in ("splits", "card")}
+    card = _strings(_table(document.get("card", {}), "card"), "card")
+    splits, patient = _splits(dict(_table(document.get("splits", {}), "splits")))
     dataset = _table(document.get("dataset", {}), "dataset")
-    recipe = _of(Recipe, dataset, _DATASET, "dataset", features=features, episodes=episodes, **texts)
+    recipe = _of(
+        Recipe, dataset, _DATASET, "dataset", features=features, episodes=episodes, splits=splits, patient=patient,
+        card=card,
+    )  # fmt: skip
     _check_features(recipe)
     _check_cuts(episodes)
-    for name, text in (recipe.splits or {}).items():
-        if re.fullmatch(r"[0-9]{1,9}:[0-9]{1,9}", text) is None:
-            raise _wrong(f"splits.{name}", text, 'a half-open range of demonstrations, such as "0:8"')
     return recipe
+
+
+def _splits(table: dict[str, Any]) -> tuple[dict[str, Any], str]:
+    """The splits, which are all of one form, and what is a patient."""
+    patient = table.pop("patient", "")
+    if patient and not _is_pattern(patient):
+        raise _wrong("splits.patient", patient, f'a name with {PATIENT} once, such as "{PATIENT}_*" or "{PATIENT}/*"')
+    found: dict[str, Any] = {}
+    for name, value in table.items():
+        if isinstance(value, str) and re.fullmatch(r"[0-9]{1,9}:[0-9]{1,9}", value):
+            found[name] = value
+        elif type(value) in (int, float) and 0 < value <= 1:
+            found[name] = float(value)
+        elif _texts(value) and value and len(value) <= _MAX_NAMES and max(map(len, value)) <= _MAX_PATTERN:
+            found[name] = tuple(value)
+        else:
+            raise _wrong(
+                f"splits.{name}", value,
+                'a share such as 0.8, names such as ["P01", "P02"], or a half-open range of demonstrations of one '
+                'session, such as "0:8"',
+            )  # fmt: skip
+    if len({type(value) for value in found.values()}) > 1:
+        raise _wrong("splits", table, "shares, names or ranges for all splits")
+    shares = [value for value in found.values() if isinstance(value, float)]
+    if shares and abs(sum(shares) - 1) > _SHARES:
+        raise _wrong("splits", round(sum(shares), 9), "shares with the sum 1")
+    if patient and any(isinstance(value, str) for value in found.values()):
+        raise _wrong("splits.patient", patient, "it with shares or names, not with ranges of demonstrations")
+    return found, patient
+
+
+def _is_pattern(value: Any) -> bool:
+    return (
+        isinstance(value, str) and value.isprintable() and value.count(PATIENT) == 1 and value.count("*") <= 3
+        and len(value) <= _MAX_PATTERN and all(value.split("/"))
+    )  # fmt: skip
 
 
 def _table(value: Any, place: str) -> Mapping[str, Any]:

@@ -44,12 +44,15 @@ class Samples:
 
     Attributes:
         row: the row of the recipe, with the rule that applies.
+        type: of the messages.
         kind: ``"pose"``, ``"numbers"``, ``"text"`` or ``"picture"``.
         times: (N,) int64, strictly increasing, ns on the clock of the data set, without the lag.
         stamps: (N,) int64, the recorded times, ns.
         entries: (N,) int64, entry numbers; 0 in files of other programs.
         values: (N, 4, 4) poses in m; (N, K) numbers; (N,) strings; (N,) indices of pictures.
         names: names of the numbers.
+        recorded_names: those that they have in the recording.
+        units: the units of the numbers, as far as the recording states them.
         count: messages in the stream.
         unusable, duplicates, disordered: messages without a value, with the time of another one, with a time before
             that of the message before.
@@ -59,12 +62,15 @@ class Samples:
     """
 
     row: Feature
+    type: str
     kind: str
     times: Times
     stamps: Times
     entries: Times
     values: Any
     names: tuple[str, ...]
+    recorded_names: tuple[str, ...]
+    units: tuple[str, ...]
     count: int
     unusable: int
     duplicates: int
@@ -154,11 +160,24 @@ class JoinedStreams:
         return self._one.times(stream.stream_times, place)
 
 
-def read_samples(recording: Recording, row: Feature, joined: JoinedStreams, place: str) -> Samples:
-    """Return the samples of a row of the recipe.  Raises ConfigError with ``place``."""
+def read_samples(
+    recording: Recording, row: Feature, joined: JoinedStreams, place: str, names_of_set: Sequence[str] = ()
+) -> Samples:
+    """Return the samples of a row of the recipe.
+
+    Args:
+        recording: the session.
+        row: the row.
+        joined: its streams on one clock.
+        place: of the row, for errors.
+        names_of_set: names of the numbers, as another session of the data set has them: these go in its order.
+
+    Raises ConfigError with ``place``.
+    """
     stream = stream_of(recording, row.stream, place)
     try:
-        kind, rows, values, names, pictures = _values(stream, row)
+        kind, rows, values, recorded, pictures = _values(stream, row)
+        units = _units(stream, row)
         stamps = stamps_of(stream, row, joined)
     except ConfigError as error:
         raise ConfigError(f"{place}: {error}") from None
@@ -169,7 +188,10 @@ def read_samples(recording: Recording, row: Feature, joined: JoinedStreams, plac
         )
     if not len(rows):
         raise ConfigError(f"{place}: found no usable value in {len(stream):,} messages of {row.stream}, expected one")
-    names = _named(names, row, place)
+    if recorded != tuple(names_of_set) and sorted(recorded) == sorted(names_of_set):
+        values = values[:, [recorded.index(each) for each in names_of_set]]
+        recorded = tuple(names_of_set)
+    names = _named(recorded, row, place)
     lag, correction = _correction(recording, stream, row, joined, place, pictures)
     every = stamps if correction is None else correction.corrected(stamps)
     disordered = int(np.sum(stamps[1:] < stamps[:-1]))
@@ -180,8 +202,9 @@ def read_samples(recording: Recording, row: Feature, joined: JoinedStreams, plac
     kept = order[last]
     chosen = [values[int(each)] for each in kept] if kind == "text" else values[kept]
     return Samples(
-        replace(row, rule=rule), kind, times[last], stamps[rows][kept], stream.numbers[rows][kept],
-        np.array(chosen, object) if kind == "text" else chosen, names, len(stream), len(stream) - len(rows),
+        replace(row, rule=rule), stream.type, kind, times[last], stamps[rows][kept], stream.numbers[rows][kept],
+        np.array(chosen, object) if kind == "text" else chosen, names, recorded, units, len(stream),
+        len(stream) - len(rows),
         len(rows) - len(kept), disordered, pictures, correction, lag,
     )  # fmt: skip
 
@@ -220,6 +243,18 @@ def _values(stream: Stream, row: Feature) -> tuple[str, Array, Any, tuple[str, .
             return _poses(stream, row)
         fields = (_TEXTS[stream.type],)
     return _columns(stream, fields, row)
+
+
+def _units(stream: Stream, row: Feature) -> tuple[str, ...]:
+    """The units of the columns in the data set, and those in the messages of SENSOR, whose numbers keep them."""
+    if not row.fields:
+        return ()
+    table = stream.to_arrow()
+    found = [(table.schema.field(name).metadata or {}).get(b"unit", b"").decode() for name in row.fields]
+    units = [_UNITS.get(each, (each, 1.0))[0] for each in found]
+    if stream.type == "SENSOR":
+        units += sorted({each for each in table["unit"].to_pylist() if each is not None})
+    return tuple(units)
 
 
 def _poses(stream: Stream, row: Feature) -> tuple[str, Array, Any, tuple[str, ...], None]:

@@ -1,21 +1,138 @@
-"""Splits of a data set: they follow demonstrations, so that no demonstration is in two of them.
+"""Splits of a data set: they follow demonstrations, sessions or patients, so that none of these is in two splits.
 
-A recipe states ranges of demonstrations: the parts that ``[episodes]`` describes, numbered from 0 on, also those that
-have no frame.  A demonstration with a gap becomes several episodes, which are all in its split.
+For one session a recipe may state ranges of demonstrations: the parts that ``[episodes]`` describes, numbered from 0
+on, also those that have no frame.  A demonstration with a gap becomes several episodes, which are all in its split.
+For any number of sessions it states shares, or the names of the sessions or patients of each split.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import PurePath
 
-from igtl_gateway.addon import ConfigError
+from igtl_gateway.addon import ConfigError, matches
 
 #: Numbers and notes of one kind that are listed.
 MOST_LISTED = 10
+#: In ``splits.patient``: where the path of a session has the patient.
+PATIENT = "{patient}"
+TRAIN = "train"
+Value = str | float | tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """What is never divided: a session, or the sessions of a patient.
+
+    Attributes:
+        name: of the session or the patient.
+        frames: of all its sessions.
+        split: where it is already, or "".
+    """
+
+    name: str
+    frames: int
+    split: str = ""
+
+
+def has_ranges(splits: Mapping[str, Value] | None) -> bool:
+    """Return whether splits are ranges of demonstrations."""
+    return any(isinstance(value, str) for value in (splits or {}).values())
+
+
+def group_of(path: str, patient: str) -> str:
+    """Return the name of the session at a path, or that of its patient.
+
+    Args:
+        path: of the recording.
+        patient: as ``"{patient}_*"`` or ``"{patient}/*"``, compared with the end of the path; "": the session.
+
+    Raises ConfigError for a path that is not like the pattern.
+    """
+    where = PurePath(path)
+    name = where.name.removesuffix(where.suffix)
+    if not patient:
+        return name
+    parts = [*where.parts[:-1], name][-(patient.count("/") + 1) :]
+    signs = {PATIENT: "([^/]+?)", "*": "[^/]*"}
+    pieces = (signs.get(each, re.escape(each)) for each in re.split(r"(\{patient\}|\*)", patient))
+    found = re.fullmatch("".join(pieces), "/".join(parts))
+    if found is None:
+        raise ConfigError(f"splits.patient: found the session {'/'.join(parts)!r}, expected a name like {patient!r}")
+    return found[1]
+
+
+def assigned(splits: Mapping[str, Value] | None, groups: Sequence[Group]) -> dict[str, str]:
+    """Return the split of each group.
+
+    By shares, each next group goes to the split that lacks the most frames, and each split has one or more.
+
+    Args:
+        splits: of the recipe: shares or names; None: all groups are in ``train``.
+        groups: in the order in which they are assigned; those that have a split keep it.
+
+    Raises ConfigError for a group in no split or in two, and for fewer groups than shares.
+    """
+    if not splits:
+        return {each.name: each.split or TRAIN for each in groups}
+    found = {each.name: each.split for each in groups if each.split}
+    shares = {name: value for name, value in splits.items() if isinstance(value, float)}
+    if not shares:
+        named = {name: value for name, value in splits.items() if isinstance(value, tuple)}
+        return {each.name: found.get(each.name) or _named(named, each.name) for each in groups}
+    if len(groups) < len(shares):
+        raise ConfigError(
+            f"splits: found {len(groups)} sessions or patients for {len(shares)} splits, expected one or more for each"
+        )
+    frames = dict.fromkeys(shares, 0)
+    for each in groups:
+        if each.split in frames:
+            frames[each.split] += each.frames
+    todo = [each for each in groups if not each.split]
+    for number, each in enumerate(todo):
+        total = sum(frames.values()) + each.frames
+        empty = [name for name in shares if name not in found.values()]
+        names = empty if len(todo) - number <= len(empty) else list(shares)
+        split = max(names, key=lambda name: shares[name] * total - frames[name])
+        found[each.name] = split
+        frames[split] += each.frames
+    return found
+
+
+def _named(splits: Mapping[str, tuple[str, ...]], group: str) -> str:
+    found = [name for name, globs in splits.items() if any(matches(glob, group) for glob in globs)]
+    if len(found) != 1:
+        places = f"in {' and '.join(found)}" if found else f"in none of {', '.join(splits)}"
+        raise ConfigError(f"splits: found {group!r} {places}, expected it in one split")
+    return found[0]
+
+
+def unused_names(splits: Mapping[str, Value] | None, groups: Sequence[str]) -> list[str]:
+    """Return the names in splits that no session or patient has."""
+    globs = [(name, glob) for name, value in (splits or {}).items() if isinstance(value, tuple) for glob in value]
+    return [f"splits.{name}: {glob!r}" for name, glob in globs if not any(matches(glob, each) for each in groups)]
+
+
+def ranges_of(splits: Sequence[str]) -> dict[str, str]:
+    """Return the episodes of each split: half-open ranges, which have commas between them if there are several.
+
+    Args:
+        splits: of each episode, in order.
+    """
+    found: dict[str, list[list[int]]] = {}
+    for number, name in enumerate(splits):
+        ranges = found.setdefault(name, [])
+        if ranges and ranges[-1][1] == number:
+            ranges[-1][1] = number + 1
+        else:
+            ranges.append([number, number + 1])
+    return {name: ",".join(f"{start}:{end}" for start, end in ranges) for name, ranges in found.items()}
 
 
 def splits_of(ranges: Mapping[str, str] | None, demonstrations: int, owners: Sequence[int]) -> dict[str, str]:
-    """Return the range of episodes of each split.
+    """Return the range of episodes of each split of one session.
 
     Args:
         ranges: split → range of demonstrations; without one, all episodes are in ``train``.
@@ -26,7 +143,7 @@ def splits_of(ranges: Mapping[str, str] | None, demonstrations: int, owners: Seq
         ConfigError: a range has no demonstration with frames or one of another range, or a demonstration is in none.
     """
     if not ranges:
-        return {"train": f"0:{len(owners)}"}
+        return {TRAIN: f"0:{len(owners)}"}
     names: dict[int, str] = {}
     found: dict[str, str] = {}
     for name, text in ranges.items():

@@ -81,6 +81,10 @@ class PictureStats:
         self.counts += other.counts
         self.pictures += other.pictures
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as JSON."""
+        return {"pictures": self.pictures, "counts": self.counts.tolist()}
+
     def stats(self) -> Stats:
         """Return the statistics; each has the shape (3, 1, 1)."""
         levels = np.arange(256) / 255

@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.addon import ConfigError, GatewayError
 from igtl_gateway.addon.processes import extras
 from igtl_gateway.addon.reading import open_recording
 from igtl_gateway.addon.terminal import aligned, count_text, print_json, print_line
+from igtl_gateway.addon.untrusted import printable
 from igtl_gateway.addon.writing import check_target, write_error, write_text, written
 from igtl_gateway.addons.lerobot.options import LEROBOT
 
+if TYPE_CHECKING:
+    from igtl_gateway.addons.lerobot.assembling import Part
+    from igtl_gateway.addons.lerobot.export import Exported, Runner
+
 _OPTIONS = {"recipe": "--recipe", "write_recipe": "--write-recipe", "check": "--check"}
+#: Sessions that the output lists.
+_SESSIONS = 20
+_COUNTS = ("messages", "unusable", "used", "interpolated", "held")
 
 
 def refuse_lerobot_options(options: argparse.Namespace) -> None:
@@ -35,21 +46,23 @@ def run_lerobot(options: argparse.Namespace) -> int:
     with extras.in_use(LEROBOT):
         if options.write_recipe:
             return _write_recipe(options)
-        return _check(options) if options.check else _export(options)
+        return _check(options) if options.check else export_set(options, options.files)
 
 
 def _write_recipe(options: argparse.Namespace) -> int:
     from igtl_gateway.addons.lerobot.drafting import draft
 
+    if len(options.files) > 1:
+        raise ConfigError(f"--write-recipe: found {len(options.files)} recordings, expected one: its recipe serves all")
     if options.write_recipe.exists():
         raise ConfigError(f"{options.write_recipe}: exists already, expected a new file")
     check_target(options.write_recipe, overwrite=False)
-    with open_recording(options.file) as recording:
+    with open_recording(options.files[0]) as recording:
         text = draft(recording)
     with written(options.write_recipe) as path:
         write_text(path, text)
     if options.json:
-        print_json({"file": str(options.file), "to": LEROBOT, "recipe": str(options.write_recipe)})
+        print_json({"file": str(options.files[0]), "to": LEROBOT, "recipe": str(options.write_recipe)})
     else:
         print_line(f"{options.write_recipe}: a recipe to start with; edit task, and the names of the features")
     return 0
@@ -58,12 +71,19 @@ def _write_recipe(options: argparse.Namespace) -> int:
 def _check(options: argparse.Namespace) -> int:
     from igtl_gateway.addons.lerobot.comparing import check
 
-    found, findings = check(options.check, options.file)
+    checked = check(options.check, options.files)
+    findings = checked.findings
     if options.json:
-        print_json({"file": str(options.file), "to": LEROBOT, "check": str(options.check), "findings": findings})
+        files = {"file": str(options.files[0])} | (
+            {"files": list(map(str, options.files))} if options.files[1:] else {}
+        )
+        print_json({**files, "to": LEROBOT, "check": str(options.check), "findings": findings, "notes": checked.notes})
     else:
         for each in findings:
             print_line(f"! {each}")
+        for each in checked.notes:
+            print_line(f"note: {each}")
+        found = checked.found
         size = "" if found is None else (
             f"{count_text(sum(each.length for each in found.episodes), 'frame')} in "
             f"{count_text(len(found.episodes), 'episode')}, "
@@ -72,65 +92,143 @@ def _check(options: argparse.Namespace) -> int:
     return int(bool(findings))
 
 
-def _export(options: argparse.Namespace) -> int:
-    from igtl_gateway.addons.lerobot.export import export_lerobot
-    from igtl_gateway.addons.lerobot.splits import MOST_LISTED, divided, listed
+def export_set(options: argparse.Namespace, files: Sequence[Path], do: Runner | None = None) -> int:
+    """Write a data set of sessions, and print what is in it; return the exit code.
+
+    Args:
+        options: with ``recipe``, ``output`` and ``json``.
+        files: the recordings.
+        do: runs the jobs of the sessions; None: this process.
+    """
+    from igtl_gateway.addons.lerobot.export import export_sessions, here
 
     try:
-        done = export_lerobot(options.file, options.recipe, options.output)
+        done = export_sessions(files, options.recipe, options.output, do or here)
     except OSError as error:
         raise write_error(options.output, error) from None
     except GatewayError as error:
         text = str(error)
-        known = str(options.recipe), str(options.file), str(options.output), "cannot write"
+        known = str(options.recipe), *map(str, files), str(options.output), "cannot write"
         raise type(error)(text if text.startswith(known) else f"{options.recipe}: {text}") from None
-    plan = done.plan
-    facts: list[dict[str, Any]] = [
-        {
-            "feature": each.samples.row.name,
-            "stream": each.samples.row.stream,
-            "rule": each.samples.row.rule,
-            "messages": each.samples.count,
-            "unusable": each.samples.unusable,
-            "used": each.used,
-            "interpolated": each.interpolated,
-            "held": each.held,
-        }
-        for each in done.streams
-    ]
+    if len(files) == 1:
+        _print_one(options, files[0], done)
+    else:
+        _print_many(options, done)
+    return 0
+
+
+def _print_one(options: argparse.Namespace, file: Path, done: Exported) -> None:
+    from igtl_gateway.addons.lerobot.splits import MOST_LISTED, divided, listed
+
+    [part] = done.parts
+    found, recipe, frames = part.written, done.recipe, part.session.frames
     if options.json:
         print_json(
             {
-                "file": str(options.file), "to": LEROBOT, "out": str(options.output), "format": plan.recipe.format,
-                "clock": plan.clock, "episodes": len(plan.episodes), "frames": plan.frame_count, "files": done.files,
-                "notes": plan.joined.notes,
-                "demonstrations": plan.demonstrations, "empty": plan.empty, "cuts": plan.cuts, "splits": plan.splits,
-                "left_out": plan.left_out, "streams": facts,
+                "file": str(file), "to": LEROBOT, "out": str(options.output), "format": recipe.format,
+                "clock": found["clock"], "episodes": len(part.session.episodes), "frames": frames, "files": done.files,
+                "notes": found["notes"], "demonstrations": found["demonstrations"], "empty": found["empty"],
+                "cuts": len(found["owners"]) - len(set(found["owners"])), "splits": done.splits,
+                "left_out": found["left_out"], "streams": found["streams"],
             }
         )  # fmt: skip
-        return 0
-    names = ("feature", "stream", "rule", "messages", "unusable", "used", "interpolated", "held")
-    rows = [names, *(tuple(_cell(each[name]) for name in names) for each in facts)]
-    print_line(*aligned(rows, left=3))
-    for note in plan.joined.notes:
+        return
+    _print_streams(found["streams"])
+    for note in found["notes"]:
         print_line(f"note: {note}")
-    for why, number in plan.left_out.items():
-        print_line(f"note: {count_text(number, 'frame')} left out: {why}")
-    if plan.empty:
-        print_line(f"note: demonstrations without a frame: {listed(plan.empty)}, of {plan.demonstrations:,}")
-    parts = divided(plan.owners)
+    _print_left_out(found["left_out"])
+    if found["empty"]:
+        print_line(f"note: demonstrations without a frame: {listed(found['empty'])}, of {found['demonstrations']:,}")
+    parts = divided(found["owners"])
     for owner, episodes in list(parts.items())[:MOST_LISTED]:
         numbers = f"episodes {episodes[0]} to {episodes[-1]}"
         print_line(f"note: demonstration {owner} has a gap above a tolerance, or is too long: {numbers}")
     if len(parts) > MOST_LISTED:
         print_line(f"note: {len(parts) - MOST_LISTED:,} more demonstrations that are several episodes")
-    if plan.recipe.splits:
-        print_line("splits: " + ", ".join(f"{name} has the episodes {text}" for name, text in plan.splits.items()))
+    _print_end(options, done, len(part.session.episodes), frames, found["clock"])
+
+
+def _print_many(options: argparse.Namespace, done: Exported) -> None:
+    """What is in a set of several sessions; numbers of streams are those of all of them."""
+    streams = _summed(done.parts)
+    left_out: Counter[str] = sum((Counter(each.written["left_out"]) for each in done.parts), Counter())
+    rows = [_session(each) for each in _numbered(done)]
+    clock = done.parts[0].written["clock"]
+    episodes, frames = done.totals.episodes, done.totals.frames
+    if options.json:
+        print_json(
+            {
+                "files": [each.session.path for each in done.parts], "to": LEROBOT, "out": str(options.output),
+                "format": done.recipe.format, "clock": clock, "episodes": episodes, "frames": frames,
+                "written": done.files, "splits": done.splits, "left_out": dict(left_out), "sessions": rows,
+                "streams": streams,
+            }
+        )  # fmt: skip
+        return
+    cells = [
+        (printable(row["session"]), row["split"], f"{row['first_episode']:,}", f"{row['episodes']:,}",
+         f"{row['frames']:,}")
+        for row in rows[:_SESSIONS]
+    ]  # fmt: skip
+    print_line(*aligned([("session", "split", "first episode", "episodes", "frames"), *cells], left=2))
+    if len(rows) > _SESSIONS:
+        print_line(f"  {len(rows) - _SESSIONS:,} more sessions: {options.output}/meta/sessions.json")
+    _print_streams(streams)
+    notes = sum(bool(row["notes"]) for row in rows)
+    if notes:
+        print_line(f"note: the clock of {count_text(notes, 'session')} was corrected: meta/SYNCHRONIZATION.md")
+    _print_left_out(left_out)
+    divided = sum(row["cuts"] for row in rows)
+    if divided:
+        print_line(f"note: {count_text(divided, 'episode')} more than demonstrations: gaps, or too long for one")
+    _print_end(options, done, episodes, frames, clock)
+
+
+def _numbered(done: Exported) -> list[tuple[int, Part]]:
+    first = done.totals.episodes - sum(len(each.session.episodes) for each in done.parts)
+    found = []
+    for each in done.parts:
+        found.append((first, each))
+        first += len(each.session.episodes)
+    return found
+
+
+def _session(numbered: tuple[int, Part]) -> dict[str, Any]:
+    first, part = numbered
+    owners = part.written["owners"]
+    return {
+        "session": part.session.name, "group": part.group, "split": part.split, "first_episode": first,
+        "episodes": len(part.session.episodes), "frames": part.session.frames, "cuts": len(owners) - len(set(owners)),
+        "demonstrations": part.written["demonstrations"], "empty": part.written["empty"],
+        "notes": part.written["notes"],
+    }  # fmt: skip
+
+
+def _summed(parts: Sequence[Part]) -> list[dict[str, Any]]:
+    """The rows of the streams, with the sums of all sessions."""
+    every = zip(*(each.written["streams"] for each in parts), strict=True)
+    return [{**rows[0], **{name: sum(row[name] for row in rows) for name in _COUNTS}} for rows in every]
+
+
+def _print_streams(facts: Sequence[Mapping[str, Any]]) -> None:
+    names = ("feature", "stream", "rule", *_COUNTS)
+    rows = [names, *(tuple(_cell(each[name]) for name in names) for each in facts)]
+    print_line(*aligned(rows, left=3))
+
+
+def _print_left_out(left_out: Mapping[str, int]) -> None:
+    for why, number in left_out.items():
+        print_line(f"note: {count_text(number, 'frame')} left out: {why}")
+
+
+def _print_end(options: argparse.Namespace, done: Exported, episodes: int, frames: int, clock: str) -> None:
+    if done.recipe.splits:
+        print_line("splits: " + ", ".join(f"{name} has the episodes {text}" for name, text in done.splits.items()))
+    sessions = f" of {count_text(len(done.totals.sessions.sessions), 'session')}" if done.parts[1:] else ""
     print_line(
-        f"{options.output}: LeRobot {plan.recipe.format}, {count_text(plan.frame_count, 'frame')} in "
-        f"{count_text(len(plan.episodes), 'episode')}, clock: {plan.clock}"
+        f"{options.output}: LeRobot {done.recipe.format}, {count_text(frames, 'frame')} in "
+        f"{count_text(episodes, 'episode')}{sessions}, clock: {clock}"
     )
-    return 0
 
 
 def _cell(value: Any) -> str:

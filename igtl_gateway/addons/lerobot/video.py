@@ -23,9 +23,10 @@ Pixels = npt.NDArray[np.uint8]
 
 KEY_FRAME_INTERVAL = 2
 PIXEL_FORMAT = "yuv420p"
-#: Codec → encoder and its options; B-frames would delay the first picture.
+#: Codec → encoder and its options.  B-frames would delay the first picture.  The macroblock tree of x264 makes other
+#: bytes of the same small pictures from one time to the next; a key frame at every second one leaves it nothing to do.
 _ENCODERS: dict[str, tuple[str, dict[str, str]]] = {
-    "h264": ("libx264", {"preset": "veryfast", "crf": "18", "bf": "0"}),
+    "h264": ("libx264", {"preset": "veryfast", "crf": "18", "bf": "0", "mbtree": "0"}),
     "av1": ("libsvtav1", {"preset": "10", "crf": "30"}),
 }
 _BT601, _LIMITED = 6, 1  # AVCOL_SPC_SMPTE170M, AVCOL_RANGE_MPEG

@@ -1,7 +1,8 @@
-"""Writes a data set: tables, videos, statistics, provenance, recipe and card."""
+"""Writes what a session gives to a data set: tables, videos, statistics of episodes, provenance, part of the card."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -10,46 +11,43 @@ import pyarrow as pa
 from pyarrow import parquet
 
 from igtl_gateway.addon import UnsupportedRecording
-from igtl_gateway.addon.untrusted import read_bytes
-from igtl_gateway.addon.writing import check_folder, make_folder, open_new, write_bytes, written_folder
-from igtl_gateway.addons.lerobot.card import write_card
-from igtl_gateway.addons.lerobot.card_streams import Facts as StreamFacts
-from igtl_gateway.addons.lerobot.checksums import write_checksums
+from igtl_gateway.addon.writing import check_folder, make_folder, open_new, write_text
 from igtl_gateway.addons.lerobot.frames import Episode, Plan
 from igtl_gateway.addons.lerobot.layout import Facts, Layout, layout_of
 from igtl_gateway.addons.lerobot.stats import PictureStats, Stats, number_stats, sampled
 from igtl_gateway.addons.lerobot.video import video_info
 
-PROVENANCE, RECIPE = "provenance.parquet", "recipe.toml"
+PROVENANCE, RECIPE, SYNCHRONIZATION, CARD = "provenance.parquet", "recipe.toml", "SYNCHRONIZATION.md", "README.md"
+#: Folder of a part: its files of data and videos, named as in a data set of this session alone.
+DATA = "files"
+#: What the metadata have about the episodes of a part.
+EPISODES = "episodes.json"
 
 
-def write_data_set(plan: Plan, out: Path, recipe: Path, streams: list[StreamFacts]) -> int:
-    """Write a data set to a new or empty directory, and return the number of files.
-
-    The directory is complete or absent at the end.
+def write_part(plan: Plan, part: Path, synchronization: str) -> dict[str, Any]:
+    """Write what a session gives to a data set into a new folder.
 
     Args:
         plan: the frames.
-        out: the directory.
-        recipe: the recipe, of which the data set has a copy.
-        streams: what was found about the streams, for the card.
+        part: the folder.
+        synchronization: the part of the card.
+
+    Returns:
+        ``features``, and the statistics of the ``pictures``.
 
     Raises:
-        UnsupportedRecording: the directory has files.
         Unavailable: PyAV is missing, and the recipe has pictures.
         OSError: it cannot be written.
     """
-    check_out(out)
-    with written_folder(out) as root:
-        meta = root / "meta"
-        make_folder(meta)
-        facts = facts_of(plan)
-        layout = layout_of(plan.recipe.format, root, facts)
-        _write_episodes(plan, layout, meta / PROVENANCE)
-        write_bytes(meta / RECIPE, read_bytes(recipe))
-        write_card(plan, meta, streams)
-        write_checksums(root)
-        return sum(each.is_file() for each in root.rglob("*"))
+    make_folder(part)
+    facts = facts_of(plan)
+    layout = layout_of(plan.recipe.format, part / DATA, facts, plan.place.frame)
+    pictures = _write_episodes(plan, layout)
+    with open_new(part / PROVENANCE) as file:
+        parquet.write_table(trace_of(plan), file, compression="zstd")
+    write_text(part / SYNCHRONIZATION, synchronization)
+    write_text(part / EPISODES, json.dumps(layout.rows))
+    return {"features": facts.features, "pictures": {name: each.to_dict() for name, each in pictures.items()}}
 
 
 def check_out(out: Path) -> None:
@@ -82,7 +80,7 @@ def facts_of(plan: Plan) -> Facts:
     features["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
     for name in ("frame_index", "episode_index", "index", "task_index"):
         features[name] = {"dtype": "int64", "shape": [1], "names": None}
-    return Facts(recipe.fps, recipe.codec, sizes, features, plan.tasks, recipe.robot_type, plan.splits)
+    return Facts(recipe.fps, recipe.codec, sizes, features, recipe.robot_type)
 
 
 def own_columns(plan: Plan, episode: Episode, first: int) -> dict[str, Any]:
@@ -91,16 +89,16 @@ def own_columns(plan: Plan, episode: Episode, first: int) -> dict[str, Any]:
     return {
         "timestamp": (frames / plan.recipe.fps).astype(np.float32),
         "frame_index": frames,
-        "episode_index": np.full(episode.count, episode.index, np.int64),
+        "episode_index": np.full(episode.count, plan.place.episode + episode.index, np.int64),
         "index": first + frames,
         "task_index": np.full(episode.count, plan.tasks.index(episode.task), np.int64),
     }
 
 
-def _write_episodes(plan: Plan, layout: Layout, provenance: Path) -> None:
-    everything: dict[str, list[Any]] = {}
+def _write_episodes(plan: Plan, layout: Layout) -> dict[str, PictureStats]:
+    """Write the episodes, and return the statistics of the pictures of all of them."""
     pictures = {name: PictureStats() for name in plan.recipe.names if plan.kind(name) == "picture"}
-    first = 0
+    first = plan.place.frame
     for episode in plan.episodes:
         columns: dict[str, Any] = {}
         stats: dict[str, Stats] = {}
@@ -116,27 +114,24 @@ def _write_episodes(plan: Plan, layout: Layout, provenance: Path) -> None:
         table = _table(columns | own)
         for name, values in (columns | own).items():
             if values.dtype != object:
-                matrix = values.reshape(len(values), -1)
-                stats[name] = number_stats(matrix)
-                everything.setdefault(name, []).append(matrix)
-        layout.add(episode.index, episode.task, table, stats)
+                stats[name] = number_stats(values.reshape(len(values), -1))
+        layout.add(plan.place.episode + episode.index, episode.task, table, stats)
         first += episode.count
-    total = {name: each.stats() for name, each in pictures.items()}
-    layout.finish(total | {name: number_stats(np.concatenate(each)) for name, each in everything.items()})
-    with open_new(provenance) as file:
-        parquet.write_table(trace_of(plan), file, compression="zstd")
+    layout.finish()
+    return pictures
 
 
 def _write_video(plan: Plan, layout: Layout, episode: Episode, name: str, indices: Any) -> PictureStats:
     pictures, stats, chosen = plan.of(name)[0].pictures, PictureStats(), set(sampled(episode.count).tolist())
-    video = layout.video(name, episode.index, episode.count)
-    for number, index in enumerate(indices.tolist() if pictures else ()):
+    number = plan.place.episode + episode.index
+    video = layout.video(name, number, episode.count)
+    for frame, index in enumerate(indices.tolist() if pictures else ()):
         picture = pictures.rgb(index) if pictures else None
         if picture is not None:
             video.add(picture)
-            if number in chosen:
+            if frame in chosen:
                 stats.add(picture)
-    layout.end_video(name, episode.index, video)
+    layout.end_video(name, number, video)
     return stats
 
 
@@ -156,7 +151,7 @@ def _column(values: Any) -> pa.Array:
 
 def trace_of(plan: Plan) -> pa.Table:
     """Return the messages of all frames: entry numbers, stamps, distance in time, whether the last sample is held."""
-    tables, first = [], 0
+    tables, first = [], plan.place.frame
     for episode in plan.episodes:
         own = own_columns(plan, episode, first)
         columns: dict[str, Any] = {name: own[name] for name in ("index", "episode_index", "frame_index")}

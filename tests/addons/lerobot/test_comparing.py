@@ -300,7 +300,7 @@ def test_damage_is_found(
     root = tmp_path / "set"
     shutil.copytree(sets / version, root)
     damage(root, version)
-    _, findings = check(root, sets / "trials.mcap")
+    findings = check(root, [sets / "trials.mcap"]).findings
     assert any(text in each for each in findings), findings
     assert len(findings) <= 6, findings
 
@@ -342,14 +342,14 @@ def test_noise_is_within_the_loss_of_the_codec(tmp_path: Path) -> None:
     recipe = tmp_path / "r.toml"
     recipe.write_text(NOISE, "utf-8")
     export_lerobot(path, recipe, tmp_path / "set")
-    assert check(tmp_path / "set", path)[1] == []
+    assert check(tmp_path / "set", [path]).findings == []
     view = tmp_path / "set/videos/chunk-000/observation.images.noise/episode_000000.mp4"
     other = VideoFile(tmp_path / "other.mp4", (48, 64), 10, "h264")
     for number, each in enumerate(noise[:11]):
         other.add(random.integers(0, 256, (48, 64, 3), np.uint8) if number == 4 else each)
     other.close()
     shutil.copy(other.path, view)
-    found = [each for each in check(tmp_path / "set", path)[1] if "SHA-256" not in each]
+    found = [each for each in check(tmp_path / "set", [path]).findings if "SHA-256" not in each]
     assert any("observation.images.noise: frame 4: found a mean squared" in each for each in found), found
 
 

@@ -375,16 +375,18 @@ def test_streams_of_two_clocks_are_on_one(tmp_path: Path, ahead_s: float, monkey
     write_session(path, messages, ahead_s={other: ahead_s, told: ahead_s})
     more = f'[[feature]]\nname = "observation.other"\nstream = "{other}"'
     recipe.write_text(recipe_text(more=more, episodes=f'by = "markers"\nstream = "{told}"'), "utf-8")
-    done = export_lerobot(path, recipe, out)
-    (episode,) = done.plan.episodes
+    export_lerobot(path, recipe, out)
+    with igtl_gateway.open(path) as recording:
+        plan = build(recording, read_recipe(recipe))
+    (episode,) = plan.episodes
     # both move alike, 10 mm/s; the latency of 3 ms remains
-    one, two = (done.plan.values(episode, name)[:, 0] for name in ("observation.state", "observation.other"))
+    one, two = (plan.values(episode, name)[:, 0] for name in ("observation.state", "observation.other"))
     assert np.abs(one - two).max() < 0.00005
     assert np.allclose(one[[0, -1]], [0.02, 0.0295], atol=0.0006)  # the markers cut the movement that they mean
-    (note,) = done.plan.joined.notes
+    (note,) = plan.joined.notes
     assert f"the stamps of {other}, {told} are" in note and "corrected by" in note
     assert note in (out / "meta" / "README.md").read_text("utf-8").replace("\\", "")
-    assert check(out, path)[1] == []
+    assert check(out, [path]).findings == []
     if ahead_s < 0:  # there, earlier versions found no common time
         return
     # a set that was made of stamps of two clocks, as earlier versions made it, is found
@@ -392,4 +394,4 @@ def test_streams_of_two_clocks_are_on_one(tmp_path: Path, ahead_s: float, monkey
         alike = "igtl_gateway.addons.lerobot.samples.one_clock"
         patched.setattr(alike, lambda streams, wanted="auto": OneClock("source", (0,) * len(streams)))
         export_lerobot(path, recipe, tmp_path / "wrong")
-    assert check(tmp_path / "wrong", path)[1]
+    assert check(tmp_path / "wrong", [path]).findings

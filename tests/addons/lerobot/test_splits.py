@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from igtl_gateway.addons.lerobot.splits import divided, splits_of
+from igtl_gateway.addons.lerobot.splits import Group, assigned, divided, group_of, ranges_of, splits_of
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli import main
 from tests.addons.lerobot.sessions import Sent, arm, write_session
@@ -52,6 +53,37 @@ def test_what_is_refused(ranges: dict[str, str], owners: list[int], text: str) -
 
 def test_what_is_divided() -> None:
     assert divided([0, 0, 1, 2, 2, 2]) == {0: [0, 1], 2: [3, 4, 5]}
+
+
+SHARES = {"train": 0.8, "val": 0.2}
+
+
+@pytest.mark.parametrize(
+    ("splits", "frames", "expected"),
+    [
+        (None, {"a": 9, "b": 1}, {"a": "train", "b": "train"}),
+        (SHARES, {name: 10 for name in "abcdefghij"}, {n: "val" if n in "ch" else "train" for n in "abcdefghij"}),
+        (SHARES, {"a": 10, "b": 10}, {"a": "train", "b": "val"}),  # none stays empty
+        (SHARES, {"a": 1, "b": 1000, "c": 1}, {"a": "train", "b": "train", "c": "val"}),
+        ({"train": ("P0*",), "val": ("P10", "P11")}, {"P01": 1, "P10": 5}, {"P01": "train", "P10": "val"}),
+    ],
+)
+def test_groups_get_splits(splits: Any, frames: dict[str, int], expected: dict[str, str]) -> None:
+    groups = [Group(*each) for each in frames.items()]
+    assert assigned(splits, groups) == expected
+    # those that have a split keep it, whatever comes
+    kept = [Group(each.name, each.frames, expected[each.name]) for each in groups]
+    more = assigned(splits, [*kept, Group("P02", 7)])
+    assert {name: more[name] for name in expected} == expected and more["P02"] in (splits or {"train": 1})
+
+
+def test_patients_are_a_part_of_the_path() -> None:
+    assert group_of("/data/P01/run.mcap", "") == "run" and group_of("/data/P01/run.mcap", "{patient}/*") == "P01"
+    assert group_of("/data/P01_2026_a.mcap", "{patient}_*") == "P01"
+    assert group_of("/data/2026_P01.mcap", "*_{patient}") == "P01"
+    with pytest.raises(ConfigError, match="expected a name like"):
+        group_of("/data/run.mcap", "{patient}_*")
+    assert ranges_of(["train", "train", "val", "train"]) == {"train": "0:2,3:4", "val": "2:3"}
 
 
 RECIPE = """\
