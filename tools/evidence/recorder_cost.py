@@ -106,7 +106,7 @@ def measure(folder: Path, source: str, seconds: float, compression: str, outputs
     bridge = [str(Path(sys.executable).with_name("igtl-gateway")), "bridge", "--json", "--listen", "127.0.0.1:0"]
     bridge += ["--record", str(path), "--overwrite", "--compression", compression, "--outputs", outputs]
     with Program("bridge", bridge) as gateway, Program("hear", [*own, "--hear"]) as listener:
-        port = int(gateway.wait_for("listening", WAIT_S)["port"])
+        port = int(gateway.wait_for("started", WAIT_S)["listen"][0]["port"])
         listener.wait_for("ready", WAIT_S)
         with Program("send", [*own, "--send", str(port), "--seconds", str(seconds), "--pictures", source]) as sender:
             sender.wait_for("ready", WAIT_S)

@@ -2,9 +2,9 @@
 
     python -P build.py PACKAGE DEFINITIONS PREFIX WORK [LIBRARIES]    writes WORK/result/PACKAGE
 
-WORK is an empty folder.  The standard output has a line for each part of the work that is done: the share of the whole,
-0 to 1.  When the standard input ends, because the program that has started this one was killed, or with SIGTERM, it
-ends with all that it has started, and removes WORK.
+WORK is an empty folder.  The standard output has a line for each part of the work that begins or ends: the shares of
+the whole that are done and that are under way, 0 to 1.  When the standard input ends, because the program that has
+started this one was killed, or with SIGTERM, it ends with all that it has started, and removes WORK.
 
 LIBRARIES is the folder of the libraries of the ROS wheels as the extension looks for it (default: PREFIX/lib);
 ``$ORIGIN`` is its own folder.  The result does not depend on the folders PREFIX and WORK otherwise.
@@ -59,7 +59,7 @@ _LIBRARIES = (
 _DISPATCH = Path(__file__).with_name("dispatch.h")
 
 #: Shares of the whole that are done when the definitions are read, and when all code is generated; measured.
-_READ, _GENERATED = 0.12, 0.53
+_READ, _GENERATED = 0.07, 0.38
 #: End of the name of a unit → seconds that it takes, and of all others; measured.
 _UNIT_S = {"__type_support_c.cpp": 7.0, "all_s.c": 3.8, "all__functions.c": 3.2, "all__type_support.c": 1.5}
 _OTHER_UNIT_S = 0.25
@@ -68,21 +68,25 @@ _END_S = 0.2
 
 
 class _Report:
-    """Reports to the program that has started this one what share of the work is done."""
+    """Reports to the program that has started this one what shares of the work are done and under way."""
 
     def __init__(self) -> None:
         self._handle = os.dup(1)
         os.dup2(2, 1)  # the generators print
-        self._done = 0.0
+        self._done = self._under_way = 0.0
         self._lock = threading.Lock()
 
-    def at(self, share: float) -> None:
-        with self._lock:
-            self._done = max(self._done, share)
-            os.write(self._handle, b"%.4f\n" % self._done)
+    def begins(self, share: float) -> None:
+        self._write(0.0, share)
 
-    def add(self, share: float) -> None:
-        self.at(self._done + share)
+    def ends(self, share: float) -> None:
+        self._write(share, -share)
+
+    def _write(self, done: float, under_way: float) -> None:
+        with self._lock:
+            self._done += done
+            self._under_way += under_way
+            os.write(self._handle, b"%.4f %.4f\n" % (self._done, self._under_way))
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,10 +154,11 @@ def generate(package: Package, report: _Report) -> None:
     from rosidl_adapter import convert_to_idl
     from rosidl_generator_type_description import generate_type_hash
 
+    report.begins(_READ)
     for interface in package.interfaces:
         package.idl(interface).parent.mkdir(parents=True, exist_ok=True)
         convert_to_idl(package.definitions, package.name, interface, package.generated)
-    report.at(_READ / 3)
+    report.ends(_READ / 3)
     share = package.prefix / "share"
     others = [f"{path.name}:{path}" for path in share.iterdir() if path.name != package.name]
     generate_type_hash(package.arguments("type_hash", include_paths=others))
@@ -165,13 +170,16 @@ def generate(package: Package, report: _Report) -> None:
             text = text.replace("@PROJECT_NAME@", package.name).replace("@PROJECT_NAME_UPPER@", package.name.upper())
             (package.generated / kind / header).write_text(text)
     # Processes, because generators have global state; forked, so that they inherit the parsed files.
-    report.at(_READ)
+    report.ends(_READ * 2 / 3)
+    part = (_GENERATED - _READ) / len(_GENERATORS)
     context = multiprocessing.get_context("fork")
     # No multiprocessing.Pool: its end kills workers, and one that still holds the lock of the results blocks it.
     with ProcessPoolExecutor(os.cpu_count(), context) as pool:
-        for job in as_completed([pool.submit(_generate, package, name) for name in _GENERATORS]):
+        jobs = [pool.submit(_generate, package, name) for name in _GENERATORS]
+        report.begins(part * len(jobs))
+        for job in as_completed(jobs):
             job.result()
-            report.add((_GENERATED - _READ) / len(_GENERATORS))
+            report.ends(part)
     (package.generated / "__init__.py").touch()
     (package.generated / "dispatch.c").write_text(_dispatch(package))
 
@@ -260,8 +268,9 @@ def compile_extension(package: Package, report: _Report) -> Path:
     part = (1 - _GENERATED) / sum(map(_cost, units))
 
     def compile_unit(source: Path) -> Path:
+        report.begins(part * _cost(source))
         compiled = _compile(source, options)
-        report.add(part * _cost(source))
+        report.ends(part * _cost(source))
         return compiled
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:

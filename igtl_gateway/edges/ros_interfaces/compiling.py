@@ -34,8 +34,8 @@ from igtl_gateway.edges.ros_interfaces.progress import Progress, write_line
 
 BUILD = Path(__file__).with_name("build.py")
 #: Package → seconds of CPU time that it takes; measured.
-COSTS = {"igtl_msgs": 15.0, "rosbag2_interfaces": 8.0, "crtk_msgs": 2.0, "tf2_msgs": 2.0, "foxglove_msgs": 1.5}
-_USUAL_COST = 2.0
+COSTS = {"igtl_msgs": 15.0, "rosbag2_interfaces": 8.0, "crtk_msgs": 3.0, "tf2_msgs": 3.0, "foxglove_msgs": 3.0}
+_USUAL_COST = 3.0
 #: What the work folders of two packages at once take of the disk, with their results; measured: 14 MB.
 ROOM = 25_000_000
 INTERRUPTED = "Interrupted: nothing half-made is left; the next start compiles what is missing."
@@ -106,7 +106,7 @@ def _compile_all(places: Mapping[str, Path], root: Path, prefix: Path, ended: En
                     files.sync_folder(place.parent)
                     jobs.remove(job)
                     job.close()
-                progress.show(job.package, job.share)
+                progress.show(job.package, job.share, job.under_way)
     except KeyboardInterrupt:
         progress.close()
         write_line(INTERRUPTED)
@@ -141,13 +141,13 @@ class _Job:
         libraries: as in :mod:`.build`.
 
     Attributes:
-        share: what of the work is done, 0 to 1.
+        share, under_way: what of the work is done, and is being done, 0 to 1.
         result: the compiled package, once the job has finished.
     """
 
     def __init__(self, package: str, prefix: Path, work: Path, libraries: str = "") -> None:
         self.package = package
-        self.share = 0.0
+        self.share = self.under_way = 0.0
         self.result = work / "result" / package
         self._work = work
         command = [*python_command(BUILD), package, str(definition_folder(package)), str(prefix), str(work)]
@@ -164,7 +164,7 @@ class _Job:
 
     def _take(self, line: str) -> None:
         with suppress(ValueError):
-            self.share = float(line)
+            self.share, self.under_way = map(float, line.split())
 
     def has_finished(self) -> bool:
         """Whether the package is compiled.  Raises ImportError if it cannot be."""
@@ -174,7 +174,7 @@ class _Job:
         if code:
             lines = self._child.error_lines()
             raise _failure(self.package, self._work.parent, _reason(lines) or f"exit code {code}", "\n".join(lines))
-        self.share = 1.0
+        self.share, self.under_way = 1.0, 0.0
         return True
 
     def close(self) -> None:

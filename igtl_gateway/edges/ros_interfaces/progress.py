@@ -22,9 +22,9 @@ _LINE_EACH_S = 10
 #: Below it an estimate has single seconds.
 _FINE_S = 15
 #: From this part of the work on, its speed is known.
-_KNOWN = 0.1
-#: What has not come for some time takes this part of that time at least.
-_OVERDUE = 1 / 3
+_KNOWN = 0.15
+#: What is under way counts up to this part of it, by the speed so far.
+_UNDER_WAY = 0.9
 
 
 def write_line(text: str) -> None:
@@ -49,8 +49,6 @@ class Progress:
         self._whole = sum(costs.values())
         self._shares = dict.fromkeys(costs, 0.0)
         self._times: dict[str, tuple[float, float]] = {}  # when each began, and when it was seen last, s
-        self._known_s = 0.0  # when the last share came, and ...
-        self._left_s: float | None = None  # ... what was left then, s; None: not known
         self._is_live = _has_cursor()
         packages = count_text(len(costs), "ROS message package")
         write_line(f"First start: compiling {packages}, once for this environment.")
@@ -61,15 +59,14 @@ class Progress:
     def elapsed_s(self) -> float:
         return (self._clock.monotonic_ns() - self._begun_ns) / NS_PER_S
 
-    def show(self, package: str, share: float) -> None:
-        """Show that this share of a package, 0 to 1, is done; call it often, because time passes too."""
+    def show(self, package: str, share: float, under_way: float = 0.0) -> None:
+        """Show what share of a package, 0 to 1, is done and under way; call it often, because time passes too."""
         now_s = self.elapsed_s
-        self._times[package] = self._times.get(package, (now_s, now_s))[0], now_s
-        if share > self._shares[package]:
-            self._shares[package] = share
-            self._known_s = now_s
-            if self._done >= _KNOWN:
-                self._left_s = self._estimated_s()
+        begun_s, seen_s = self._times.get(package, (now_s, now_s))
+        self._times[package] = begun_s, now_s
+        so_far = self._shares[package]
+        expected = so_far * (now_s - begun_s) / (seen_s - begun_s) if seen_s > begun_s else so_far
+        self._shares[package] = max(so_far, share, min(expected, share + _UNDER_WAY * under_way))
         if self._is_live:
             _write(f"{_CLEAR}{self._text()[: shutil.get_terminal_size().columns - 1]}")
             return
@@ -94,21 +91,16 @@ class Progress:
         return f"compiling ROS messages [{bar}] {done:4.0%}{self._left()}"
 
     def _left(self) -> str:
-        """The estimate, as soon as there is one."""
-        if self._left_s is None:
+        """What is left by the speed so far, as soon as that is known."""
+        if self._done < _KNOWN:
             return ""
-        since_s = self.elapsed_s - self._known_s
-        left_s = max(self._left_s - since_s, since_s * _OVERDUE)
-        step = 5 if left_s > _FINE_S else 1
-        return f", about {step * max(1, round(left_s / step))} s left"
-
-    def _estimated_s(self) -> float:
-        """What is left by the speed so far, s."""
         busy_s = sum(last - first for first, last in self._times.values())
         ends = [0.0] * self._at_once
         for package, cost in self._costs.items():
             ends[ends.index(min(ends))] += cost * (1 - self._shares[package])
-        return max(ends) * busy_s / (self._done * self._whole)
+        left_s = max(ends) * busy_s / (self._done * self._whole)
+        step = 5 if left_s > _FINE_S else 1
+        return f", about {step * max(1, round(left_s / step))} s left"
 
 
 def _has_cursor() -> bool:

@@ -45,7 +45,7 @@ result.mkdir(parents=True)
 (result / "half").touch()
 other = subprocess.Popen(["sleep", "1000"])
 Path(GO).with_name(f"{name}.pid").write_text(str(other.pid))
-print(0.5, flush=True)
+print("0.5 0.1", flush=True)
 while not Path(GO).exists():
     time.sleep(0.02)
 other.kill()
