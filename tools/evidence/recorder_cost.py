@@ -1,10 +1,11 @@
 """What a recording costs by ``--outputs`` and ``--compression``: CPU, latency and size, in turns.
 
-    .venv/bin/python tools/evidence/recorder_cost.py --pictures FILE.mha|speckle [--seconds 8] [--rounds 3]
+    .venv/bin/python tools/evidence/recorder_cost.py --pictures FILE.mha|speckle|video [--writer]
 
 A program sends pictures (20 Hz) and a TRANSFORM (100 Hz) to a bridge that records; a ROS node measures how old the
 poses are when they arrive.  Each round has all combinations, one after the other, each with a bridge of its own.  The
 table has medians of the rounds, and ratios to the first combination of the same round: all share the machine's load.
+With ``--writer`` only the file is written, of the same entries: its CPU time depends little on other programs.
 """
 
 from __future__ import annotations
@@ -28,6 +29,11 @@ import numpy as np
 
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.large_outputs import LargeOutputs
+from igtl_gateway.record.sessionfile.writer import SessionWriter
+from igtl_gateway.testing.gateway import ManualGateway
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.transform import Transform
@@ -41,7 +47,13 @@ STEADY_S = 3.0
 
 
 def frames(source: str) -> list[Image]:
-    """Pictures of a sequence file of PLUS, or synthetic speckle."""
+    """Pictures of a sequence file of PLUS, or synthetic ones: speckle, or a pattern with the noise of a sensor."""
+    if source == "video":
+        chance = np.random.default_rng(1)
+        y, x = np.mgrid[0:480, 0:640]
+        waves = ([120 + 60 * np.sin((x + 3 * at) / 50 + c) + 40 * np.cos(y / 37) for c in range(3)] for at in range(30))
+        noisy = (np.stack(each, -1) + chance.normal(0, 2, (480, 640, 3)) for each in waves)
+        return [Image((640, 480, 1), 3, np.clip(each, 0, 255).astype("u1").tobytes(), 3) for each in noisy]
     if source == "speckle":
         chance = np.random.default_rng(4)
         noise = chance.rayleigh(1.0, (40, 480, 640))
@@ -126,7 +138,45 @@ def measure(folder: Path, source: str, seconds: float, compression: str, outputs
         "p50_ms": ages[len(ages) // 2] / 1e6,
         "p99_ms": ages[len(ages) * 99 // 100] / 1e6,
         "size": stopped["bytes"] / pixels,
-        "dropped": sum(stopped["dropped"].values()),
+        "dropped": float(stopped["dropped"]),
+    }
+
+
+def session(source: str, seconds: float) -> list[Entry]:
+    """The entries of such a session."""
+    pictures, gateway = frames(source), ManualGateway(Config())
+    link = gateway.connect()
+    for number in range(int(seconds * POSES_HZ)):
+        gateway.advance(1 / POSES_HZ)
+        if number % (POSES_HZ // PICTURES_HZ) == 0:
+            picture = pictures[number // (POSES_HZ // PICTURES_HZ) % len(pictures)]
+            gateway.from_peer(join(encode(Message("IMAGE", "Probe", picture))), link)
+        pose = Transform((1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0, float(number), 0, 0))
+        gateway.from_peer(join(encode(Message("TRANSFORM", "Tool", pose))), link)
+    return list(gateway.log)
+
+
+def write(path: Path, entries: Sequence[Entry], compression: Any, outputs: Any) -> dict[str, float]:
+    """Write a file as the recorder does, with its flushes."""
+    pixels = sum(entry.size for entry in entries if entry.kind is Kind.IGTL_IN and entry.type == "IMAGE")
+    begun, flush_ns = time.process_time(), 0
+    facts = {"config": json.dumps(Config().to_dict())}
+    writer = SessionWriter(
+        path, facts, compression=compression, together=True, overwrite=True, counted=True, outputs=LargeOutputs(outputs)
+    )
+    for entry in entries:
+        if entry.stamp_ns > flush_ns:
+            writer.flush()
+            flush_ns = entry.stamp_ns + NS_PER_S // 2
+        writer.write(entry)
+    writer.close({})
+    cpu_s = time.process_time() - begun
+    return {
+        "recorder_cpu_s": cpu_s,
+        "bridge_cpu_s": 0.0,
+        "p50_ms": 0.0,
+        "p99_ms": 1.0,
+        "size": path.stat().st_size / pixels,
     }
 
 
@@ -162,17 +212,22 @@ def main() -> None:
     parser.add_argument("--outputs", nargs="+", default=OUTPUTS)
     parser.add_argument("--send", type=int)
     parser.add_argument("--hear", action="store_true")
+    parser.add_argument("--writer", action="store_true")
     options = parser.parse_args()
     if options.send:
         return send(options.send, options.seconds, options.pictures)
     if options.hear:
         return hear()
     rounds: list[dict[tuple[str, str], dict[str, float]]] = []
+    entries = session(options.pictures, options.seconds) if options.writer else []
     with tempfile.TemporaryDirectory() as folder:
         for _ in range(options.rounds):
             keys = [(compression, outputs) for outputs, compression in product(options.outputs, options.compression)]
             found: dict[tuple[str, str], Any] = {}
             for compression, outputs in keys:
+                if options.writer:
+                    found[compression, outputs] = write(Path(folder) / "a.mcap", entries, compression, outputs)
+                    continue
                 found[compression, outputs] = measure(
                     Path(folder), options.pictures, options.seconds, compression, outputs
                 )
