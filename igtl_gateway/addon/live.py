@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from igtl_gateway.edges.tcp.tls import TlsFiles as TlsFiles
     from igtl_gateway.gateway.diagnostics import RHYTHM_HZ as RHYTHM_HZ
     from igtl_gateway.gateway.diagnostics import SILENT_NS as SILENT_NS
+    from igtl_gateway.gateway.silences import Arrivals as Arrivals
 
 #: Names that are others there; the rest of the group is above.
 __all__ = ["RECORDING_ACTIONS", "REPLAY_SETTINGS", "REPLAY_SIDES", "NoteEvent", "ReplaySide"]
@@ -35,6 +36,7 @@ HOMES: Homes = (
     ("app.note_rate", "NoteEvent=Event NoteRate"),
     ("app.recording", "RECORDING_ACTIONS=ACTIONS"),
     ("gateway.diagnostics", "RHYTHM_HZ SILENT_NS"),
+    ("gateway.silences", "Arrivals"),
     # Replays
     ("app.player", "Player"),
     ("app.replay_options", "ReplayOptions"),

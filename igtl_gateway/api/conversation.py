@@ -25,7 +25,7 @@ from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import ConfigError, LinkClosed, NoReply, Refused, WireError
 from igtl_gateway.base.globs import matches
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
-from igtl_gateway.convert.commands import reply_result
+from igtl_gateway.convert.commands import failure_text, reply_result
 from igtl_gateway.convert.igtl_msgs import CommandReply as RosReply
 from igtl_gateway.convert.igtl_msgs import MetadataItem
 from igtl_gateway.edges.tcp import LinkCounters, PeerLimits, TlsFiles
@@ -518,11 +518,8 @@ class Conversation:
         text = result or ""
         status = {"Status": "SUCCESS"} if error is None else {"Status": "FAIL", "ErrorMessage": str(error)}
         version = message.header_version
-        if error is not None and version == 1:  # as PLUS replies; version 1 has no metadata
-            from xml.sax.saxutils import quoteattr
-
-            about = f'Name={quoteattr(message.name)} Status="FAIL" Message={quoteattr(str(error))}'
-            text = f"<CommandReply {about} />"
+        if error is not None and version == 1:  # it has no metadata
+            text = failure_text(message.name, str(error))
         items = sorted_items(Item.of(key, value) for key, value in status.items()) if version == 2 else ()
         content = Command.of(command.command_id, command.name, text)
         ticks = ns_to_ticks(self._clock.utc_ns())

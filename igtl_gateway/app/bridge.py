@@ -383,7 +383,8 @@ class Bridge:
         if diagnostics:
             diagnostics.publish()
         if self.gateway.guard.watch:
-            for note in self._silences.look(self.hub.now_ns(), self.gateway.guard.items()):
+            totals = self.gateway.ledger.totals()
+            for note in self._silences.look(self.hub.now_ns(), self.gateway.guard.items(), totals):
                 self.hub.note(note)
 
     def _note_halt(self, halt_ns: int, most_ns: int) -> None:

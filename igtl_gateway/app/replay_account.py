@@ -53,13 +53,15 @@ class ReplayAccount:
     """Counts the recorded messages that a replay does not send, by reason.
 
     Attributes:
-        recorded: number of messages in the recording, including notes and links.
+        recorded: number of messages in the recording, including notes and links, and of those before it.
+        before: number of messages of the prologue that are to be sent; what is not latched of them is not sent.
         passed_over: reason → number of messages, counted while the feed is read.
         made: number of messages that the gateway of this version computed, by kind.
         passes: how often the feed was opened; the account covers only the last pass.
     """
 
     recorded: int = 0
+    before: int = 0
     passed_over: Counter[str] = field(default_factory=Counter)
     made: Counter[Kind] = field(default_factory=Counter)
     passes: int = 0
@@ -79,7 +81,7 @@ class ReplayAccount:
                 fixed[RECOMPUTED] += channel.count
         fixed[UNREAD] = sum(channel.count for channel in file.skipped)
         before = sum(entry.kind.is_input and entry.kind in how.kinds for entry in file.prologue())
-        return cls(file.entry_count + fixed[UNREAD] + before, _fixed=fixed, _kinds=how.kinds)
+        return cls(file.entry_count + fixed[UNREAD] + before, before, _fixed=fixed, _kinds=how.kinds)
 
     def begin(self) -> None:
         """Restart the counts, because the feed is opened."""
@@ -108,9 +110,11 @@ class ReplayAccount:
         missed[LEFT] = left
         missed[REFUSED] = sum(played.refused.values()) + failed
         sent = played.messages - played.without_peer - failed - left
-        missed[NOT_REACHED if stopped or not partial else OUTSIDE] = self.recorded + made - sent - missed.total()
+        rest = self.recorded + made - sent - missed.total()
+        unsent_before = min(rest, self.before)  # no messages of the recording, whose number `info` shows
+        missed[NOT_REACHED if stopped or not partial else OUTSIDE] = rest - unsent_before
         return {
-            "recorded": self.recorded,
+            "recorded": self.recorded - unsent_before,
             "made": made,
             "sent": sent,
             "not_sent": {reason: missed[reason] for reason in REASONS if missed[reason]},

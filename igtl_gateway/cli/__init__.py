@@ -117,14 +117,19 @@ def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **e
             added.set_defaults(**extra)
     try:
         options, rest = parser.parse_known_args(given)
-    except GatewayError as error:  # an option of an add-on that is not there
+        if rest:
+            at = verbs.choices.get(asked, parser)
+            at.error(at.unrecognized(rest[0]))
+        if not options.verb:
+            parser.print_help()
+            return USAGE
+    except GatewayError as error:  # an option of an add-on that is not there, or an output that cannot be written
+        if isinstance(error, OutputError):
+            discard_outputs()
         return _print_error(asked, error, failure)
-    if rest:
-        at = verbs.choices.get(asked, parser)
-        at.error(at.unrecognized(rest[0]))
-    if not options.verb:
-        parser.print_help()
-        return USAGE
+    except BrokenPipeError:  # of --help or --version
+        discard_outputs()
+        return failure
     try:
         with extras.in_use():
             run = options.runner()
@@ -256,5 +261,6 @@ def _bounded(verb: Verb) -> AbstractContextManager[None]:
 
 def _print_error(verb: str, error: object, code: int) -> int:
     own = own_verb(verb)
-    print_line(f"igtl-gateway {own.now or verb if own else verb}: {error}", error=True, priority=service.ERROR)
+    called = " ".join(filter(None, ("igtl-gateway", own.now or verb if own else verb)))
+    print_line(f"{called}: {error}", error=True, priority=service.ERROR)
     return code

@@ -129,7 +129,8 @@ NAMING = 2
 #: The rules by which messages are fitted to what a peer reads; older recordings do not state them, which is 0.
 #: 1: 3D Slicer gets no type that it does not read, but what shows the same, and CRTK arms in millimetres; until a peer
 #: has sent its first message, it gets only what every known program reads.
-FITTING = 1
+#: 2: a peer without metadata (header version 1) finds the failure of its command in the text of the reply.
+FITTING = 2
 #: Former names of the policies, in the configurations of old recordings.
 _STAMP_ALIASES = {"now": RECEIVE}
 #: Of a field that a session records, and a user cannot set.

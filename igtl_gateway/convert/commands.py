@@ -2,12 +2,14 @@
 
 The protocol defines no field for the success of a command.  OpenIGTLinkIO writes it to the metadata (``Status``,
 ``ErrorMessage``), PLUS to the metadata and to its XML (``<CommandReply Name= Status= Error= Message= />``), in header
-version 1 to the XML only.  The gateway reads both forms and writes the metadata.
+version 1 to the XML only.  The gateway reads both forms and writes the metadata; a failure for a peer of header version
+1, which has none, to the XML.
 """
 
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 from igtl_gateway.convert.columns import fit_texts
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
@@ -107,6 +109,20 @@ def reply_to_igtl(message: CommandReply, to: ToIgtlContext) -> ConvertedMessage:
     others = tuple(item for item in message.metadata if item.key not in result)
     ours = tuple(MetadataItem(key, 0, value) for key, value in result.items())
     return _outgoing(message, others + ours, _REPLY_TYPE, to)
+
+
+def with_failure_in_text(message: CommandReply) -> CommandReply:
+    """Return a reply for header version 1: a failure is in its content, which is its reason if it has no other."""
+    if message.status == CommandReply.SUCCESS or reply_result(message.content, ())[0] != CommandReply.SUCCESS:
+        return message
+    return replace(message, content=failure_text(message.name, message.error_message or message.content))
+
+
+def failure_text(name: str, reason: str) -> str:
+    """Return the content of a reply that reports a failure, as PLUS writes it."""
+    from xml.sax.saxutils import quoteattr
+
+    return f'<CommandReply Name={quoteattr(name)} Status="FAIL" Message={quoteattr(reason)} />'
 
 
 def _outgoing(

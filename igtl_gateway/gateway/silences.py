@@ -7,7 +7,7 @@ each link, because a cable has many streams.  Pure: the time is an argument.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from igtl_gateway.base.stamp import NS_PER_S
@@ -25,11 +25,50 @@ _LATE_NS = 3 * NS_PER_S
 _NAMED, _MOST = 3, 100
 
 
+#: Link (0: of ROS) and name of a guarded stream.
+Key = tuple[int, str]
+
+
+class Arrivals:
+    """Which guarded streams have got messages since the last look.
+
+    The guard does not see a message that no peer takes, that is denied, or that comes while the gateway is not active.
+    The ledger counts it: if no link has a message of its stream that the guard has seen, it may be of each of them.
+    """
+
+    def __init__(self) -> None:
+        self._checked: Mapping[Key, int] = {}
+        self._totals: Mapping[str, Mapping[str, int]] = {}
+
+    def since_then(self, checked: Mapping[Key, int], totals: Mapping[str, Mapping[str, int]]) -> frozenset[Key]:
+        """Return the streams with messages since the last call.
+
+        Args:
+            checked: the number of messages that the guard has seen so far.
+            totals: those that have come, from ``Ledger.totals``.
+        """
+        before, self._checked = self._checked, checked
+        then, self._totals = self._totals, totals
+        seen = frozenset(key for key, number in checked.items() if number != before.get(key, number))
+        unseen = {_row(key): _number(totals, key) != _number(then, key) for key in checked if key in before}
+        unseen |= dict.fromkeys(map(_row, seen), False)
+        return seen | frozenset(key for key in checked if unseen.get(_row(key)))
+
+
+def _row(key: Key) -> tuple[str, str]:
+    """Return direction and stream of the ledger."""
+    return "igtl_in" if key[0] else "ros_in", key[1]
+
+
+def _number(totals: Mapping[str, Mapping[str, int]], key: Key) -> int:
+    direction, stream = _row(key)
+    return totals.get(direction, {}).get(stream, 0)
+
+
 @dataclass(slots=True)
 class _Seen:
     """A stream at the last look; times in ns."""
 
-    messages: int
     looks: int = 0
     arrived_ns: int = 0
     is_silent: bool = False
@@ -39,27 +78,34 @@ class Silences:
     """The silent streams of a session."""
 
     def __init__(self) -> None:
-        self._seen: dict[tuple[int, str], _Seen] = {}
+        self._seen: dict[Key, _Seen] = {}
+        self._arrivals = Arrivals()
         self._looked_ns = 0
 
-    def look(self, now_ns: int, watched: Iterable[tuple[tuple[int, str], GuardedStream]]) -> list[Note]:
+    def look(
+        self, now_ns: int, watched: Iterable[tuple[Key, GuardedStream]], totals: Mapping[str, Mapping[str, int]]
+    ) -> list[Note]:
         """Return the notes of now.
 
         Args:
             now_ns: gateway time.
             watched: (link, stream) and the guarded stream; those of closed links are not among them.
+            totals: the messages that have come, from ``Ledger.totals``.
         """
+        streams = dict(watched)
+        came = self._arrivals.since_then({key: one.timing.messages for key, one in streams.items()}, totals)
         silent: dict[int, list[str]] = {}
         back: dict[int, list[tuple[str, int]]] = {}
         before, self._seen = self._seen, {}
         is_late, looked_ns = now_ns - self._looked_ns > _LATE_NS, self._looked_ns
         self._looked_ns = now_ns
-        for key, stream in watched:
-            seen = self._seen[key] = before.get(key) or _Seen(stream.timing.messages)
-            if moved := stream.timing.messages != seen.messages:
+        for key, stream in streams.items():
+            seen = self._seen[key] = before.get(key) or _Seen()
+            if moved := key in came:
                 if seen.is_silent:  # it came back between the two looks
                     back.setdefault(key[0], []).append((key[1], (looked_ns + now_ns) // 2 - seen.arrived_ns))
-                seen.messages, seen.arrived_ns, seen.is_silent = stream.timing.messages, stream.arrived_ns, False
+                is_seen = stream.arrived_ns >= looked_ns
+                seen.arrived_ns, seen.is_silent = stream.arrived_ns if is_seen else now_ns, False
             if seen.looks < _REGULAR:
                 seen.looks = seen.looks + 1 if moved else 0
             elif not (moved or is_late or seen.is_silent) and now_ns - seen.arrived_ns >= SILENT_NS:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import threading
+from collections import Counter
 from pathlib import Path
 
 from igtl_gateway.app.faulty import FaultyFeed
-from igtl_gateway.app.player import Player
+from igtl_gateway.app.player import PlaybackCounts, Player
 from igtl_gateway.app.replay_account import (
     LEFT,
     LOST,
@@ -25,6 +26,7 @@ from igtl_gateway.config.faults import Faults
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.source import FORMS, RECOMPUTED, STREAMS
+from tests.app.test_replay_plan import split
 from tests.places import FIXTURES
 from tests.tables import table
 
@@ -88,6 +90,24 @@ def test_all_of_a_recording_is_accounted_for(name: str, to: str, recompute: bool
     missed = played(FIXTURES / f"{name}.mcap", to, recompute=recompute)
     assert not {NOT_REACHED, OUTSIDE, REFUSED, LOST} & set(missed), missed
     assert (RECOMPUTED in missed) == recompute
+
+
+@table("to", ["igtl", "ros", "both"])
+def test_what_came_before_a_part_is_no_message_of_it(to: str, tmp_path: Path) -> None:
+    """`info` has the number of the recording; the inputs of its prologue are not "not reached"."""
+    with SessionFile.open(split(tmp_path)[1]) as file:
+        most, least = file.entry_count + len(file.prologue()), file.entry_count
+        assert most > least
+        how = plan_replay(file, to, recompute=False)
+        account = ReplayAccount.of(file, how)
+        entries = planned_entries(
+            file, Config(), how, (), file.start_ns, None, "server", account.passed_over, account.made
+        )
+        sent = Counter(entry.stamp_ns >= file.start_ns for entry in entries)
+        played = PlaybackCounts(messages=sum(sent.values()))
+        facts = account.facts(played, failed=0, left=0, lost=0, partial=False, stopped=False)
+    assert facts["recorded"] == least + sent[False], "latched messages of before are sent"
+    assert NOT_REACHED not in facts["not_sent"]
 
 
 def test_each_reason_has_its_number() -> None:

@@ -219,6 +219,23 @@ def test_closed_outputs_end_nothing_with_a_traceback(how: str, tmp_path: Path) -
     assert main(("verify", str(path))) == 0, "the recording was closed"
 
 
+@pytest.mark.parametrize("words", [("--version",), ("--help",), ("info", "--help"), ("bridge", "--help-all"), ()])
+def test_versions_and_help_need_no_reader(words: tuple[str, ...]) -> None:
+    """`igtl-gateway --version | head -1`: the reader has ended before the last line."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    ended = subprocess.run(
+        [sys.executable, "-m", "igtl_gateway", *words],
+        stdout=writer,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    os.close(writer)
+    assert (ended.returncode, ended.stderr) == (1, "")
+
+
 def test_decode_says_nothing_of_a_reader_that_has_seen_enough(tmp_path: Path) -> None:
     path = tmp_path / "many.igtl"
     path.write_bytes((Path(__file__).parents[1] / "data" / "corpus" / "STRING_v1_s1.bin").read_bytes() * 5000)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.guarded_stream import GuardedStream
 from igtl_gateway.gateway.log.note import Level
@@ -16,17 +18,19 @@ class Streams:
     def __init__(self, *names: str) -> None:
         self.streams = {(1, name): GuardedStream(name, 0, watch=True) for name in names}
         self.silences = Silences()
+        self.received: Counter[str] = Counter()
         self.second = 0
 
-    def pass_s(self, seconds: int, *sending: str) -> list[tuple[int, Level, str, str]]:
-        """Return second, level, code and text of the notes."""
+    def pass_s(self, seconds: int, *sending: str, unseen: str = "") -> list[tuple[int, Level, str, str]]:
+        """Return second, level, code and text of the notes; ``unseen``: a stream of which the guard sees nothing."""
         notes = []
         for _ in range(seconds):
             self.second += 1
             now_ns = _T0 + self.second * NS_PER_S
+            self.received.update([*sending, unseen])
             for name in sending:
                 self.streams[1, name].observe(now_ns, now_ns)
-            found = self.silences.look(now_ns, self.streams.items())
+            found = self.silences.look(now_ns, self.streams.items(), {"igtl_in": dict(self.received)})
             notes += [(self.second, note.level, note.code, note.text) for note in found]
         return notes
 
@@ -38,6 +42,27 @@ def test_a_pause_of_a_periodic_stream_has_a_begin_and_an_end() -> None:
     ((second, level, code, text),) = one.pass_s(3, "TRANSFORM/Arm")
     assert (second, level, code) == (18, Level.INFO, STREAM_BACK)
     assert text == "TRANSFORM/Arm: back after about 8 s"
+
+
+def test_messages_that_the_guard_does_not_see_are_no_silence() -> None:
+    """No peer takes them, they are denied, or the gateway is not active."""
+    one = Streams("TRANSFORM/Arm")
+    assert one.pass_s(10, "TRANSFORM/Arm") == []
+    assert one.pass_s(20, unseen="TRANSFORM/Arm") == []
+    assert one.pass_s(6) == [(35, Level.WARN, STREAM_SILENT, "TRANSFORM/Arm: no message for 5 s")]
+    ((second, _, code, _),) = one.pass_s(2, unseen="TRANSFORM/Arm")
+    assert (second, code) == (37, STREAM_BACK)
+
+
+def test_one_of_two_links_with_a_stream_is_silent() -> None:
+    one = Streams("TRANSFORM/Arm")
+    one.streams[2, "TRANSFORM/Arm"] = GuardedStream("TRANSFORM/Arm", 0, watch=True)
+    for _ in range(6):
+        one.pass_s(1)
+        for number in (1, 2):
+            one.streams[number, "TRANSFORM/Arm"].observe(_T0 + one.second * NS_PER_S, _T0 + one.second * NS_PER_S)
+    ((_, _, code, _),) = one.pass_s(7, "TRANSFORM/Arm")
+    assert code == STREAM_SILENT, "the messages are those of the other link"
 
 
 def test_a_short_pause_and_a_rare_stream_are_no_silence() -> None:

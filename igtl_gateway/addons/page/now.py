@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 from igtl_gateway.addon import NS_PER_S
-from igtl_gateway.addon.live import SILENT_NS
+from igtl_gateway.addon.live import SILENT_NS, Arrivals
 from igtl_gateway.addon.notes import HARMLESS
 from igtl_gateway.addons.page.left import Left
 from igtl_gateway.addons.page.rhythm import Rhythm
@@ -94,6 +94,7 @@ class Now:
     def __init__(self) -> None:
         self._streams: dict[tuple[str, str], tuple[Rhythm, Losses]] = {}
         self._watched: dict[tuple[int, str], Watched] = {}
+        self._arrivals = Arrivals()
         self._links: dict[str, tuple[Rhythm, Rhythm, Losses]] = {}  # from the peer, to it
         self._left = Left()
         self._senders: dict[tuple[str, str], list[str]] = {}  # the last peers of each stream
@@ -151,10 +152,12 @@ class Now:
         by_stream: dict[tuple[str, str], list[Watched]] = {}
         by_link: dict[int, list[Watched]] = {}
         before, self._watched = self._watched, {}
-        for row in rows_of(facts):
-            link, stream = key = row["link"], row["stream"]
+        rows = {(row["link"], row["stream"]): row for row in rows_of(facts)}
+        came = self._arrivals.since_then({key: row["looks"] for key, row in rows.items()}, facts["totals"])
+        for key, row in rows.items():
+            link, stream = key
             one = self._watched[key] = before.get(key) or Watched(row)
-            one.take(now_ns, utc_ns, row)
+            one.take(now_ns, utc_ns, row, came=key in came)
             by_stream.setdefault(("igtl_in" if link else "ros_in", stream), []).append(one)
             if link:
                 by_link.setdefault(link, []).append(one)

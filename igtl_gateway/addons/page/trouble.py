@@ -116,19 +116,29 @@ class Losses:
 
 @dataclass(slots=True)
 class Watched:
-    """A stream of a link over the samples: its row of ``watched``, its rhythm, the ages of its last messages."""
+    """A stream of a link over the samples: its row of ``watched``, its rhythm, the ages of its last messages.
+
+    ``unseen_ns``: time of the last sample with messages that the guard did not see.
+    """
 
     row: Mapping[str, Any]
     rhythm: Rhythm = field(default_factory=Rhythm)
     ages: deque[int] = field(default_factory=lambda: deque(maxlen=_AGES))
+    unseen_ns: int = 0
 
-    def take(self, now_ns: int, utc_ns: int, row: Mapping[str, Any]) -> None:
-        """Take the row of a sample."""
+    def take(self, now_ns: int, utc_ns: int, row: Mapping[str, Any], *, came: bool) -> None:
+        """Take the row of a sample; ``came``: whether messages have come since the one before."""
+        is_seen = row["looks"] != self.rhythm.received
         self.row = row
-        if row["age_ns"] is not None and (row["looks"] != self.rhythm.received or not self.ages):
+        if row["age_ns"] is not None and (is_seen or not self.ages):
             self.ages.append(row["age_ns"])
         arrived_ns = 0 if row["silent_ns"] is None else now_ns - row["silent_ns"]
-        self.rhythm.take(now_ns, row["looks"], utc_ns, arrived_ns, tuple(row["pause"]))
+        until_ns, pause_ns = row["pause"]
+        if came and not is_seen:
+            arrived_ns = self.unseen_ns = now_ns
+        elif self.unseen_ns:
+            pause_ns = min(pause_ns, now_ns - self.unseen_ns)
+        self.rhythm.take(now_ns, row["looks"], utc_ns, arrived_ns, (until_ns, pause_ns))
 
     @property
     def late_ns(self) -> int:

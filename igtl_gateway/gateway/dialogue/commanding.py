@@ -29,6 +29,9 @@ from igtl_gateway.wire import Message
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.fields import visible
 
+#: Rules of ``Config.fitting`` from which on a peer without metadata finds a failure in the text of the reply.
+_FAILURE_IN_TEXT = 2
+
 MakeItems = Callable[[Entry, ToIgtlStream, ConvertedMessage], list[Item]]
 
 
@@ -113,7 +116,17 @@ class Commands:
             return []
         header = RosHeader(entry.stamp_ns)
         message = CommandReply(header, pending.device, pending.command_id, pending.name, status, text)
-        return self._delivery.to(entry, [peer], [_replying(entry, pending, message)])
+        return self._delivery.to(entry, [peer], [self._replying(entry, pending, message, peer)])
+
+    def _replying(self, entry: Entry, pending: PendingCommand, message: CommandReply, peer: Peer) -> OutboundMessage:
+        """Return a reply with the device and the name of its command."""
+        device = short_device_name(pending.device)  # escaped bytes make a name longer
+        named = replace(message, device_name=device, name=message.name or pending.name)
+        if peer.version == 1 and self._config.fitting >= _FAILURE_IN_TEXT:
+            named = conversions.with_failure_in_text(named)
+        outgoing = conversions.reply_to_igtl(named, ToIgtlContext())
+        stamp_ns = message.header.stamp_ns or entry.stamp_ns
+        return OutboundMessage("RTS_COMMAND", device, outgoing.content, stamp_ns, metadata=outgoing.metadata)
 
     # -- from ROS -------------------------------------------------------------------------------------------------
 
@@ -170,8 +183,9 @@ class Commands:
         pending = self._from_peers.take(message.id, message.link)
         if pending is None:
             raise ConversionError(f"CommandReply: found id {message.id}, expected one of a command that waits")
+        peer = self._peers[pending.link]
         try:
-            return self._delivery.to(entry, [self._peers[pending.link]], [_replying(entry, pending, message)])
+            return self._delivery.to(entry, [peer], [self._replying(entry, pending, message, peer)])
         except (ConversionError, WireError) as error:
             finding = conversion_failure(error, "the reply cannot be sent", entry)
             return [finding, *self._reply(entry, pending, CommandReply.FAIL, finding.text)]
@@ -188,15 +202,6 @@ class Commands:
         return [
             ros_output(topic, message, entry.stamp_ns) for row, topic in stream.outputs if row.message is CommandReply
         ]
-
-
-def _replying(entry: Entry, pending: PendingCommand, message: CommandReply) -> OutboundMessage:
-    """Return a reply with the device and the name of its command."""
-    device = short_device_name(pending.device)  # escaped bytes make a name longer
-    named = replace(message, device_name=device, name=message.name or pending.name)
-    outgoing = conversions.reply_to_igtl(named, ToIgtlContext())
-    stamp_ns = message.header.stamp_ns or entry.stamp_ns
-    return OutboundMessage("RTS_COMMAND", device, outgoing.content, stamp_ns, metadata=outgoing.metadata)
 
 
 def _asked(entry: Entry, peer: Peer, message: Message) -> PendingCommand:

@@ -95,6 +95,23 @@ def test_a_peer_that_is_silent_again_and_again_is_named() -> None:
     assert (stream["gap_s"], stream["gap_utc_ns"]) == (4.0, 14 * _S)
 
 
+def test_a_stream_that_the_guard_does_not_see_is_not_silent() -> None:
+    """No peer takes it for 30 s, it is denied, or the gateway is not active; then a peer comes back."""
+    now, looks, arrived, pause = Now(), 0, 0, (0, 0)
+    for step in range(1, 60 * 10 + 1):  # tenths of a second
+        at_ns = step * _S // 10
+        if not 15 * _S < at_ns <= 45 * _S:
+            if at_ns - arrived >= _S:
+                pause = at_ns, at_ns - arrived
+            looks, arrived = looks + 1, at_ns
+        if step % 5 == 0:
+            row = watched("IMAGE/Probe", looks=looks, silent_ns=at_ns - arrived, pause=pause)
+            sample = facts({"IMAGE/Probe": step}, peers=[peer(1, "a:1", received=step)], watched=[row])
+            rows = now.rows(sample, at_ns, at_ns)
+            assert (rows["links"][0]["state"], rows["streams"][0]["state"]) == (OK, OK), at_ns / _S
+            assert rows["streams"][0]["age_s"] < 1
+
+
 def test_the_headline_names_the_worst_first() -> None:
     now = Now()
     counts = regular(now, ["TRANSFORM/a", "TRANSFORM/b"])

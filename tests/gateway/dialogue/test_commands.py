@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from igtl_gateway.config.configuration import Config
+from igtl_gateway.convert.commands import reply_result
 from igtl_gateway.convert.igtl_msgs import Command as RosCommand
 from igtl_gateway.convert.igtl_msgs import CommandReply, MetadataItem
 from igtl_gateway.convert.rosmsg import Header
@@ -52,6 +55,55 @@ def test_a_command_that_nobody_answers_fails_in_time() -> None:
     told = metadata(script.sent()[0])
     assert told["Status"] == "FAIL" and "no reply in time" in told["ErrorMessage"]
     assert script.gateway.due_ns is None
+
+
+def _refused(config: Config, *messages: Message) -> str:
+    """The text of the reply to a peer of header version 1."""
+    script = Script(config)
+    script.up(1)
+    for message in messages or [asked()]:
+        script.igtl(message)
+    script.tick(6.0)
+    content = script.sent()[-1].content
+    assert isinstance(content, Command) and not script.sent()[-1].metadata
+    return content.text
+
+
+@pytest.mark.parametrize(
+    ("config", "reason"),
+    [
+        (Config(), "no reply in time from ROS"),
+        (Config(deny_in=("COMMAND",)), "COMMAND is denied"),
+    ],
+)
+def test_a_peer_without_metadata_finds_the_failure_in_the_text(config: Config, reason: str) -> None:
+    text = _refused(config)
+    assert text == f'<CommandReply Name="Start" Status="FAIL" Message="{reason}" />'
+    assert reply_result(text, ()) == (CommandReply.FAIL, reason, "")
+    assert _refused(replace(config, fitting=1)) == "", "recordings from before verify"
+
+
+@pytest.mark.parametrize(
+    ("reply", "text"),
+    [
+        (CommandReply(Header(), "", 7, "", CommandReply.FAIL, 'no "x" <y>'), None),
+        (CommandReply(Header(), "", 7, "", CommandReply.FAIL, content="joint 2 is blocked"), None),
+        (CommandReply(Header(), "", 7, "", CommandReply.SUCCESS, content="done"), "done"),
+        (CommandReply(Header(), "", 7, "", CommandReply.FAIL, "a", content="<CommandReply Status='FALSE'/>"), "<Com"),
+    ],
+)
+def test_a_failure_of_a_node_reaches_a_peer_without_metadata(reply: CommandReply, text: str | None) -> None:
+    script = Script()
+    script.up(1)
+    script.igtl(asked())
+    script.ros("/igtl/out/Robot/command_reply", reply)
+    content = script.sent()[0].content
+    assert isinstance(content, Command)
+    if text is None:
+        assert reply_result(content.text, ()) == (CommandReply.FAIL, reply.error_message or reply.content, "")
+    else:
+        assert content.text.startswith(text)
+        assert content.text == reply.content
 
 
 @pytest.mark.parametrize("config", [Config(), Config(deny_in=("COMMAND",))])
