@@ -19,7 +19,8 @@ from igtl_gateway.gateway.expected import (
 )
 from igtl_gateway.gateway.log.note import Note
 
-#: Time after the start, after the first message of a peer, and after a source has left, until it is missed.
+#: Time after the start, after a first peer has come, after the first message of one, and after a source has left,
+#: until it is missed.
 WAIT_NS = 5 * NS_PER_S
 #: Interval of the looks, and that of a bridge whose sources are all there.
 _EVERY_NS, _SELDOM_NS = 2 * NS_PER_S, 5 * NS_PER_S
@@ -51,6 +52,7 @@ class AwaitedSources:
         self._came: set[ExpectedSource] = set()
         self._gone_ns: dict[ExpectedSource, int] = {}
         self._first_ns: int | None = None  # of looks, and of messages from peers
+        self._met_ns: int | None = None  # since then a peer is connected
         self._heard_ns: int | None = None
         self._looked_ns = 0
 
@@ -66,6 +68,10 @@ class AwaitedSources:
             return
         self._looked_ns = now_ns
         present = self._present()
+        if not present.connected:
+            self._met_ns = None
+        elif self._met_ns is None:
+            self._met_ns = now_ns
         if present.devices and self._heard_ns is None:
             self._heard_ns = now_ns
         absent = {each.source: each for each in missing_sources(self._expected, present)}
@@ -93,8 +99,8 @@ class AwaitedSources:
             if now_ns - self._gone_ns.setdefault(source, now_ns) < WAIT_NS:
                 return None
             return replace(missing, why=f"{missing.why} any more", near="")
-        heard_ns = self._heard_ns
-        is_early = source.kind in OF_PEERS and heard_ns is not None and now_ns - heard_ns < WAIT_NS
+        times = (self._met_ns, self._heard_ns) if source.kind in OF_PEERS else ()
+        is_early = any(since_ns is not None and now_ns - since_ns < WAIT_NS for since_ns in times)
         return None if is_early else missing
 
     def _note(self, missing: MissingSource) -> None:

@@ -98,7 +98,8 @@ class DoctorReport:
                 yield f"{rule.severity.value.upper():<7} {rule.id}  {rule.title}"
                 yield f"        {rule.advice}  [{rule.section}]"
             if number <= rule.shown:
-                yield f"        - {match.where}: {match.text}"
+                is_named = match.text.partition(": ")[0].split(" ")[-1] == match.where
+                yield f"        - {match.text if is_named else f'{match.where}: {match.text}'}"
             elif number == rule.shown + 1:
                 more = sum(other.rule is rule for other in self.findings) - rule.shown
                 yield f"        - and {more:,} more, see --json"

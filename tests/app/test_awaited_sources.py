@@ -66,6 +66,16 @@ def test_a_device_is_missed_where_no_peer_comes() -> None:
     ]
 
 
+def test_a_peer_that_has_just_come_is_not_missed() -> None:
+    bridge = Bridge()
+    bridge.present = PresentSources(topics=("/tol",), devices=(), connected=0)
+    assert bridge.until(8) == ["Prob"]
+    bridge.present = PresentSources(topics=("/tol",), devices=(), connected=1)
+    assert bridge.until(12) == [], "its first message is on its way"
+    assert bridge.until(16) == ["Prob"]
+    assert bridge.notes[-1].text == "device Prob: no peer sends anything (to_ros[0])"
+
+
 def test_a_source_that_comes_late_withdraws_its_line_and_one_that_leaves_is_missed_again() -> None:
     bridge = Bridge()
     assert bridge.until(7) == ["/tol"]

@@ -60,3 +60,10 @@ def test_a_recording_without_a_configured_stream(tmp_path: Path, capsys: pytest.
     found = [one for one in json.loads(capsys.readouterr().out)["findings"] if one["id"] == "IGTL-W607"]
     assert [one["where"] for one in found] == ["/igtl/out/Robot/strng", "Planer"]
     assert "/igtl/out/Robot/string" in found[0]["text"] and "Planner" in found[1]["text"]
+
+
+def test_a_missing_source_is_named_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "bridge.toml"
+    path.write_text('[[to_igtl]]\ntopic = "/tol"\n', "utf-8")
+    assert main(["doctor", str(FIXTURES / "acquisition.mcap"), "--config", str(path)]) == 0
+    assert "        - topic /tol: no publisher" in capsys.readouterr().out
