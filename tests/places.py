@@ -17,5 +17,14 @@ needs_sources = pytest.mark.skipif(
     PACKAGE.parent != ROOT, reason="an installed igtl-gateway is tested, without its sources"
 )
 FIXTURES = ROOT / "fixtures"
+#: Small recordings: together they have all types, both directions, commands, and losses.
+LIGHT = ("acquisition", "crtk", "every-type", "paper-types")
+
+
+def is_light(path: Path) -> bool:
+    """Whether this is one of the small recordings: of checks of all, which take seconds, the gate has these."""
+    return path.stem in LIGHT
+
+
 #: Keys and certificates of the tests with TLS.
 PEMS = ROOT / "tests" / "edges" / "tcp" / "pems"

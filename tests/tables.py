@@ -4,6 +4,9 @@ Strategy: rows that differ in their values only are one test, not one id each: c
 reporting an id takes longer than such a check.  A failure must not hide the rows behind it, so all of them are
 collected, each with its name and the lines that failed.  ``table`` is written as ``pytest.mark.parametrize`` is; use
 that one where a row is a scenario that is run alone, or takes more than a second.
+
+Of a table whose rows take many seconds, and differ little in what they prove, the gate has some (``gate``): the others
+are a second test of the third tier.
 """
 
 from __future__ import annotations
@@ -57,9 +60,15 @@ def all_hold(cases: Mapping[str, Case] | Iterable[Case], check: Callable[[Case],
 
 
 def table(
-    names: str | Sequence[str], rows: Iterable[Any], ids: Callable[[Any], object] | Iterable[str] | None = None
+    names: str | Sequence[str],
+    rows: Iterable[Any],
+    ids: Callable[[Any], object] | Iterable[str] | None = None,
+    gate: Callable[..., bool] | None = None,
 ) -> Callable[[Test], Test]:
     """Make a test of one row a test of all rows; arguments as those of ``pytest.mark.parametrize``.
+
+    With ``gate``, which is called with the values of a row, it is two tests: ``[gate]`` has the rows for which it is
+    true, ``[rest]`` the others, in the third tier.
 
     Each row has a ``tmp_path``, a ``monkeypatch`` and an empty ``capsys`` of its own; other fixtures are the same for
     all rows.  Tables above each other are every row with every row.
@@ -68,8 +77,7 @@ def table(
     cases = _cases(keys, list(rows), ids)
 
     def joined(test: Test) -> Test:
-        @functools.wraps(test)
-        def run(**fixtures: Any) -> None:
+        def run_all(cases: Mapping[str, dict[str, Any]], fixtures: dict[str, Any]) -> None:
             number = iter(range(len(cases)))
 
             def check(values: dict[str, Any]) -> None:
@@ -78,12 +86,33 @@ def table(
 
             all_hold(cases, check)
 
+        @functools.wraps(test)
+        def run(**fixtures: Any) -> None:
+            run_all(cases, fixtures)
+
+        @functools.wraps(test)
+        def run_part(part: Mapping[str, dict[str, Any]], **fixtures: Any) -> None:
+            run_all(part, fixtures)
+
         signature = inspect.signature(test)
         rest = [each for name, each in signature.parameters.items() if name not in keys]
-        run.__signature__ = signature.replace(parameters=rest)  # type: ignore[attr-defined]
-        return run
+        if gate is None:
+            run.__signature__ = signature.replace(parameters=rest)  # type: ignore[attr-defined]
+            return run
+        part = inspect.Parameter("part", inspect.Parameter.POSITIONAL_OR_KEYWORD)
+        run_part.__signature__ = signature.replace(parameters=[part, *rest])  # type: ignore[attr-defined]
+        return pytest.mark.parametrize("part", _tiers(cases, gate))(run_part)
 
     return joined
+
+
+def _tiers(cases: Mapping[str, dict[str, Any]], gate: Callable[..., bool]) -> list[Any]:
+    """The rows of the gate, and those of the third tier."""
+    chosen = {name: values for name, values in cases.items() if gate(**values)}
+    rest = {name: values for name, values in cases.items() if name not in chosen}
+    assert chosen and rest, f"found {len(chosen)} of {len(cases)} rows for the gate, expected some and not all"
+    marks = (pytest.mark.slow, pytest.mark.long)
+    return [pytest.param(chosen, id="gate"), pytest.param(rest, id="rest", marks=marks)]
 
 
 def _cases(

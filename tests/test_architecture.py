@@ -374,7 +374,14 @@ def imports_of(module: str, is_package: bool, tree: ast.Module) -> Iterator[tupl
                         yield node.lineno, "?"
 
 
-parsed = cache(ast.parse)  # two tests look at each module
+parsed = cache(ast.parse)  # several tests look at each module
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _no_trees_left() -> Iterator[None]:
+    """Those of all modules are some hundred megabytes, which Python's collector would look at until the last test."""
+    yield
+    parsed.cache_clear()
 
 
 def violations(module: str, source: str, *, is_package: bool = False) -> list[str]:
@@ -563,6 +570,7 @@ def test_the_walks_are_those_of_the_code() -> None:
         assert len(callers) > 4
 
 
+@cache
 def imported_modules() -> dict[str, set[str]]:
     """Module → the modules that it imports; a package does not import its own modules."""
     imported = {}
@@ -642,7 +650,7 @@ def test_who_comes_through_the_door_finds_the_names() -> None:
         for folder in ("igtl_gateway", "lab", "tests", "tools", "examples")
         for path in (ROOT / folder).rglob("*.py")
         if f"from {PACKAGE}.{DOOR}" in (text := path.read_text("utf-8"))
-        for node in ast.walk(parsed(text))
+        for node in ast.walk(ast.parse(text))
         if isinstance(node, ast.ImportFrom) and node.module in names
         for alias in node.names
         if alias.name not in {*home_of(names[node.module].HOMES), *addon.GROUPS, "igtl", "ros"}

@@ -179,14 +179,13 @@ def constants_of(tree: ast.Module) -> Constants:
     return found
 
 
-def codes_in(source: str, modules: dict[str, Constants] | None = None) -> set[str]:
+def codes_in(tree: ast.Module, modules: dict[str, Constants] | None = None) -> set[str]:
     """The codes of notes in a module: behind a level, as an argument ``code``, of warnings, and of classes of errors.
 
     Args:
-        source: the module.
+        tree: the module.
         modules: name of a module that it might import names from → its constants.
     """
-    tree = ast.parse(source)
     nodes = list(ast.walk(tree))
     known = constants_of(tree)
     for node in nodes:
@@ -246,15 +245,15 @@ def _places_of_codes(nodes: list[ast.AST]) -> dict[str, int]:
 def test_every_code_of_a_note_is_there() -> None:
     root = docs.ROOT / "igtl_gateway"
     sources = {path.relative_to(root): path.read_text("utf-8") for path in root.rglob("*.py")}
+    trees = {path: ast.parse(source) for path, source in sources.items()}
     modules = {
-        ".".join(("igtl_gateway", *path.with_suffix("").parts)): constants_of(ast.parse(source))
-        for path, source in sources.items()
+        ".".join(("igtl_gateway", *path.with_suffix("").parts)): constants_of(tree) for path, tree in trees.items()
     }
     written = {
         code
-        for path, source in sources.items()
+        for path, tree in trees.items()
         if path.parts[0] != "doctor" and path.parts[:2] != ("addons", "review")  # their levels are not those of notes
-        for code in codes_in(source, modules)
+        for code in codes_in(tree, modules)
     }
     listed = [code for codes in NOTES.values() for code in codes]
     assert written and written - set(listed) == set()
@@ -283,7 +282,7 @@ raise Refused("i", "text")
 to.warnings.append(("j", text))
 sent.warnings += [("l", warning)] if warning else []
 """
-    assert codes_in(source, {"other": {"F": "f", "H": "no"}}) == set("abcdfghijl")
+    assert codes_in(ast.parse(source), {"other": {"F": "f", "H": "no"}}) == set("abcdfghijl")
 
 
 #: Where the names of a page begin: the gateway, its laboratory, the repository.

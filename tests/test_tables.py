@@ -110,3 +110,17 @@ def test_rows_of_pytest_keep_their_ids() -> None:
 def test_a_row_of_another_length_is_refused() -> None:
     with pytest.raises(ValueError, match="argument 2"):
         table("number, text", [(1, "a", 2)])
+
+
+@table("number", [1, 2, 3, 4], gate=lambda number: number > 2)
+def test_the_gate_has_some_rows(number: int, request: pytest.FixtureRequest) -> None:
+    """The other test has the rest, and the marks of the third tier."""
+    is_long = request.node.get_closest_marker("long") is not None
+    assert (number <= 2) == is_long == (request.node.get_closest_marker("slow") is not None)
+    assert request.node.name.endswith("[rest]" if is_long else "[gate]")
+
+
+def test_a_gate_of_all_rows_or_of_none_is_a_mistake() -> None:
+    for chosen in (True, False):
+        with pytest.raises(AssertionError, match="expected some and not all"):
+            table("number", [1, 2], gate=lambda number, chosen=chosen: chosen)(half)

@@ -49,7 +49,7 @@ def test_nothing_is_silent_in_a_world_of_each_condition(name: str) -> None:
 
 
 @pytest.mark.slow
-@table(("seed", "route"), SILENT_ONCE)
+@table(("seed", "route"), SILENT_ONCE, gate=lambda seed, route: seed in (150, 318))
 def test_what_was_silent_once_is_not(seed: int, route: str) -> None:
     (verdict,) = world(seed, [route])
     assert verdict.verdict != SILENT, (verdict.command, verdict.lines)

@@ -234,6 +234,15 @@ CHANGES: dict[str, Change] = {
     "a number left out": _renumbered,
     "an output twice": _added,
 }
+#: Of each sort one or two, for tests that take seconds.
+FEW_CHANGES = (
+    "a bit of an input",
+    "a bit of an output",
+    "gateway time of an output",
+    "link of an input",
+    "an input is missing",
+    "inputs exchanged",
+)
 
 
 def both(path: Path) -> tuple[Any, Any]:

@@ -1,7 +1,7 @@
 """Every hostile file of the table is given to the verbs that read its sort, with limits of time and memory.
 
-In every run of the tests, every eighth file is given to the first verb of its sort; with ``HOSTILE_FILES=all``, every
-file is given to all verbs of its sort.
+In every run of the tests, every sixteenth file is given to the first verb of its sort; with ``HOSTILE_FILES=all``,
+every file is given to all verbs of its sort.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tests.integration.hostile_files.page import MARK, PAGE, page, results
 from tests.integration.hostile_files.table import CASES, Outcome, Worker, judged, outcomes
 
 _ALL = os.environ.get("HOSTILE_FILES") == "all"
-_FILES = CASES if _ALL else CASES[::8]
+_FILES = CASES if _ALL else CASES[::16]
 #: Files that one process reads, so that several test workers share the table.
 _PART = 50
 _PARTS = [_FILES[start : start + _PART] for start in range(0, len(_FILES), _PART)]

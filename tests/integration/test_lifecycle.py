@@ -36,10 +36,11 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.verify import verify
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.transform import Transform
+from tests.timing import WAIT_S
 
 pytest.importorskip("lifecycle_msgs", reason='needs ROS 2: pip install "igtl-gateway[ros]"')
 
-TIMEOUT_S = 60.0  # the first start compiles igtl_msgs
+TIMEOUT_S = 2 * WAIT_S  # the first start compiles igtl_msgs
 TOPIC = "/igtl/out/Tool"
 NAME = "managed_gateway"
 #: Rounds of all transitions under traffic.

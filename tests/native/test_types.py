@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import socket
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -32,11 +32,9 @@ MADE: dict[str, Callable[[], Any]] = {
 
 
 @pytest.fixture(autouse=True)
-def few_objects() -> Iterator[None]:
-    """Leave what other tests have made out of the collections, which take minutes of a process of gigabytes."""
+def few_objects() -> None:
+    """Leave what other tests have made out of the collections."""
     gc.freeze()
-    yield
-    gc.unfreeze()
 
 
 @table("name", list(MADE))

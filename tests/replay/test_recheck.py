@@ -24,7 +24,7 @@ from igtl_gateway.replay.verify import DeclaredLosses, Verifier
 from igtl_gateway_lab.simulate.catalogue import SCENARIOS
 from tests.places import FIXTURES
 from tests.tables import table
-from tools.recheck import CHANGES, both, judged, random_session, written
+from tools.recheck import CHANGES, FEW_CHANGES, both, judged, random_session, written
 
 pytestmark = pytest.mark.skipif(not is_compiled(), reason="needs the compiled passage")
 
@@ -36,7 +36,7 @@ def test_a_fixture_has_the_same_result(path: Path) -> None:
     assert quick.inputs >= quick.compiled and not reference.compiled
 
 
-@table("seed", range(4))
+@table("seed", range(4), gate=lambda seed: seed < 2)
 def test_a_random_session_has_the_same_result_and_ledger(seed: int, tmp_path: Path) -> None:
     config, entries = random_session(random.Random(seed))
     path = written(tmp_path / "a.mcap", config, entries)
@@ -57,7 +57,7 @@ def test_a_random_session_has_the_same_result_and_ledger(seed: int, tmp_path: Pa
         checker.close()
 
 
-@table("change", sorted(CHANGES))
+@table("change", sorted(CHANGES), gate=lambda change: change in FEW_CHANGES)
 @table("seed", range(1))
 def test_a_change_in_the_recording_is_found_with_the_same_words(change: str, seed: int, tmp_path: Path) -> None:
     chance = random.Random(f"{change} {seed}")
@@ -68,7 +68,7 @@ def test_a_change_in_the_recording_is_found_with_the_same_words(change: str, see
 
 
 @table("change", ["", "link of an input", "links of an output"])
-@table("seed", range(2))
+@table("seed", range(2), gate=lambda seed: seed < 1)
 def test_heads_that_are_numbered_again_are_not_mixed_up(
     change: str, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -75,7 +75,12 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(segments, "LEAST_ENTRIES", 20)
 
 
-@table("path", sorted(FIXTURES.glob("*.mcap")), ids=lambda path: str(path.stem))
+@table(
+    "path",
+    sorted(FIXTURES.glob("*.mcap")),
+    ids=lambda path: str(path.stem),
+    gate=lambda path: path.stem in ("every-type", "lego", "star"),
+)
 def test_a_fixture_has_the_same_result(path: Path) -> None:
     report = in_segments(path)
     assert report is None or is_equal(report, of_whole(path))
@@ -83,7 +88,7 @@ def test_a_fixture_has_the_same_result(path: Path) -> None:
 
 
 @table("compiles", [False, True])
-@table("name", LONG)
+@table("name", LONG, gate=lambda name: name == "star")
 def test_each_segment_begins_with_the_state_at_the_end_of_the_one_before(name: str, compiles: bool) -> None:
     path = FIXTURES / f"{name}.mcap"
     found = results(path, planned(path, 6), compiles=compiles and COMPILES)
@@ -105,7 +110,7 @@ def test_streams_that_are_collected_in_any_order_leave_one_state(tmp_path: Path)
     assert [each.after for each in found[:-1]] == [each.before for each in found[1:]]
 
 
-@table("seed", range(3))
+@table("seed", range(3), gate=lambda seed: seed < 1)
 def test_a_random_session_has_the_same_result(seed: int, tmp_path: Path) -> None:
     path = written(tmp_path / "a.mcap", *random_session(random.Random(seed), 1_200))
     report = in_segments(path)
@@ -165,7 +170,7 @@ WRONG: dict[str, Callable[[list[segments.Segment]], list[segments.Segment]]] = {
 
 
 @table("wrong", sorted(WRONG))
-@table("name", ["star", "ultrasound"])
+@table("name", ["star", "ultrasound"], gate=lambda name: name == "star")
 def test_a_wrong_state_is_no_joint(name: str, wrong: str) -> None:
     path = FIXTURES / f"{name}.mcap"
     right = planned(path)
@@ -224,7 +229,7 @@ def test_what_the_digest_does_not_know_has_none(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.skipif(not COMPILES, reason="needs the compiled passage")
-@table("seed", range(2))
+@table("seed", range(2), gate=lambda seed: seed < 1)
 def test_the_state_after_compiled_conversions_is_that_of_the_full_path(seed: int, tmp_path: Path) -> None:
     path = written(tmp_path / "a.mcap", *random_session(random.Random(seed), 800))
     with SessionFile.open(path) as file:

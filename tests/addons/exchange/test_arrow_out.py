@@ -29,7 +29,7 @@ from igtl_gateway.wire.transform import Transform
 from tests.addons.exchange import plain_arrow
 from tests.addons.exchange.exported import exported
 from tests.addons.exchange.test_chosen_rows import definition_of, session
-from tests.places import FIXTURES
+from tests.places import FIXTURES, is_light
 from tests.tables import table
 
 
@@ -334,12 +334,12 @@ def _is_the_same(path: Path, folder: Path, globs: tuple[str, ...] = (), form: An
     assert exported(arrow_out._export, path, folder / "found", globs, form) == plain
 
 
-@table("path", [path for path in sorted(FIXTURES.glob("*.mcap")) if path.stem not in ("brain", "lego")])
+@table("path", [path for path in sorted(FIXTURES.glob("*.mcap")) if path.stem not in ("brain", "lego")], gate=is_light)
 def test_a_fixture_is_written_as_message_by_message(tmp_path: Path, path: Path) -> None:
     _is_the_same(path, tmp_path / path.stem)
 
 
-@table("seed", range(20))
+@table("seed", range(20), gate=lambda seed: seed < 7)
 def test_so_is_a_random_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     """Also in small tables, and with more streams than there may be files."""
     rng = random.Random(seed)

@@ -25,7 +25,7 @@ from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Position, Transform
 from tests.addons.exchange import plain_csv
 from tests.addons.exchange.exported import exported
-from tests.places import FIXTURES
+from tests.places import FIXTURES, is_light
 from tests.record import samples
 from tests.tables import table
 
@@ -215,7 +215,7 @@ def check_random(folder: Path, seed: int, monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.undo()
 
 
-@table("seed", range(30))
+@table("seed", range(30), gate=lambda seed: seed < 12)
 def test_a_random_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     check_random(tmp_path, seed, monkeypatch)
 
@@ -226,7 +226,7 @@ def test_many_random_sessions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         check_random(tmp_path, seed, monkeypatch)
 
 
-@table("path", [path for path in sorted(FIXTURES.glob("*.mcap")) if path.stem != "brain"])
+@table("path", [path for path in sorted(FIXTURES.glob("*.mcap")) if path.stem != "brain"], gate=is_light)
 def test_a_fixture(tmp_path: Path, path: Path) -> None:
     (tmp_path / path.stem).mkdir()
     check(path, tmp_path / path.stem)

@@ -18,9 +18,15 @@ from tests.places import FIXTURES
 from tests.timing import WAIT_S
 
 
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside four other tests a process that reads may need more than its half minute, and would be tried later."""
+    monkeypatch.setattr("igtl_gateway.addons.page.recordings._PATIENCE_S", WAIT_S)
+
+
 def rows(recordings: Recordings) -> dict[str, dict[str, Any]]:
-    """The list, once all of it is read."""
-    until = time.monotonic() + WAIT_S
+    """The list, once all of it is read, by a process that may have to start first."""
+    until = time.monotonic() + 2 * WAIT_S
     while True:
         found = recordings.rows()
         if all(row["read"] for row in found):

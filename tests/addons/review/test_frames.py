@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from igtl_gateway.addons.review.frames import FramePoses, Placed
@@ -75,7 +75,6 @@ def test_a_quaternion_and_its_negative_are_one_rotation() -> None:
     gap_s=st.sampled_from([0.0, 0.1, 0.14, 0.3, 2.0]),
     seed=st.integers(0, 99),
 )
-@settings(max_examples=60, deadline=None)
 def test_a_path_is_the_truth_or_unknown(offset_s: int, delay_ms: int, jitter_ms: int, gap_s: float, seed: int) -> None:
     """Tool and camera move along x, each at 100 mm/s; the camera's stamps are late, ahead, and have a gap.
 

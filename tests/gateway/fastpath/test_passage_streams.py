@@ -944,7 +944,7 @@ steps = st.lists(
 
 @pytest.mark.slow
 @settings(
-    max_examples=int(os.environ.get("PASSAGE_SESSIONS", "8")), deadline=None, derandomize=True, phases=[Phase.generate]
+    max_examples=int(os.environ.get("PASSAGE_SESSIONS", "4")), deadline=None, derandomize=True, phases=[Phase.generate]
 )
 @given(steps)
 def test_sessions_of_the_fast_path_are_what_the_full_path_gives(steps: list[Any]) -> None:

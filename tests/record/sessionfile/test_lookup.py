@@ -122,9 +122,7 @@ def sessions(draw: st.DrawFn) -> list[Entry]:
     cuts=st.lists(st.integers(0, 40), max_size=3),
     picks=st.lists(st.integers(0, 39), min_size=1, max_size=4),
 )
-@settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
-)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 def test_any_session_from_any_moment(
     tmp_path: Path, entries: list[Entry], chunk_bytes: int, cuts: list[int], picks: list[int]
 ) -> None:
