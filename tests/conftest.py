@@ -353,6 +353,53 @@ LONG = (
     *(f"test_written_files.py::test_a_program_that_is_ended[{number}]" for number in (2, 9)),
     "test_written_files.py::test_a_scene_whose_export_is_ended_is_not_there[--to mrml -o OUT-igtl_gateway",
     "test_written_files.py::test_a_scene_whose_export_is_ended_is_not_there[--to seq.nrrd",
+    "addons/exchange/test_import_memory.py::test_the_largest_message_is_held_once[volume]",
+    "addons/exchange/test_scene_out.py::test_items_of_one_millisecond_are_thinned_and_counted",
+    "addons/lerobot/test_export.py::test_a_recipe_of_the_recording_works_as_it_is[star]",
+    "addons/resim/test_faults.py::test_two_signals_as_of_timeout",
+    "addons/resim/test_faults.py::test_a_process_that_waits_for_work_is_no_fault[helper]",
+    "addons/resim/test_faults.py::test_a_fault_is_one_line[becomes_itself-",
+    "addons/resim/test_queues.py::test_the_oldest_message_is_dropped_and_counted[3-spin]",
+    "addons/resim/test_queues.py::test_a_queue_that_keeps_all_loses_nothing[timer]",
+    "addons/review/test_error.py::test_the_interval_holds_over_distances_and_shapes[quantised",
+    "addons/sync/test_lag.py::test_what_each_of_several_pairs_contributes",
+    *(f"addons/sync/test_lag.py::test_an_insertion_from_place_to_place_chooses[{seed}]" for seed in (8, 37)),
+    "addons/sync/test_lag.py::test_an_insertion_that_is_not_related_does_not_choose[2]",
+    "addons/sync/test_lag.py::test_noise_of_other_frequencies_does_not_hide_a_lag[47]",
+    "addons/sync/test_lags.py::test_hostile_values_and_stamps_are_refused[centuries]",
+    "addons/test_absent.py::test_what_is_left_works_without_an_addon[view]",
+    "addons/view/test_session.py::test_no_bytes_whatever_end_the_drawing[1]",
+    "addons/view/test_rows.py::test_fixtures_look_the_same_drawn_at_once[crtk.mcap]",
+    "cli/test_main.py::test_limits_are_lowered_and_raised_for_each_verb[review]",
+    *(f"cli/test_terminal.py::test_a_file_name_that_is_no_utf8[environment{row}]" for row in (1, 2)),
+    "edges/ros/test_env.py::test_publishers_and_subscriptions_keep_no_memory_of_the_largest_messages[False]",
+    "integration/test_cli_bridge.py::test_kill_9_of_bridge_and_recorder_leaves_what_was_flushed",
+    "integration/test_fair_shares.py::test_a_good_peer_is_answered_beside_twenty_that_flood[wrong CRC]",
+    "integration/test_relay.py::test_a_replay_says_the_words",
+    "integration/test_replay_ros.py::test_node_and_topics_are_where_ros_args_put_them",
+    *(
+        f"integration/test_script_peers.py::test_{name}[pyigtl]"
+        for name in ("a_server_of_tracked_images", "points_that_are_changed", "wait_for_a_message")
+    ),
+    "record/sessionfile/test_derived.py::test_every_path_of_the_reader_gives_all_bytes[lz4]",
+    "record/sessionfile/test_index_check.py::test_bytes_that_another_program_overwrites_while_it_is_recorded_are_found_later[info]",
+    *(f"record/sessionfile/test_writer.py::test_pymcap_doctor_finds_no_errors[{name}]" for name in ("auto", "lz4")),
+    *(
+        f"replay/test_content_figures.py::test_a_recording_that_is_closed[{name}]"
+        for name in ("lz4-process", "none-thread")
+    ),
+    "replay/test_verify.py::test_a_byte_of_any_message_of_every_type_that_came_in_is_found[60]",
+    *(
+        f"test_mistyped_names.py::test_a_wrong_name_fails_or_is_reported[cohort {words}"
+        for words in ("review FILE -o OUT/t", "review FILE -o OUT/r", "sync FILE -o OUT/v")
+    ),
+    *(
+        f"test_written_files.py::test_a_scene_whose_export_is_ended_is_not_there[--to mrb -o OUT.mrb-{name}-9]"
+        for name in (
+            "igtl_gateway.addons.exchange.scene_out._clock",
+            "igtl_gateway.record.sessionfile.whole_files._move",
+        )
+    ),
     "test_try_extras.py::test_the_oldest_and_the_newest_python",
     "test_try_install.py::test_an_upgrade",
     "test_try_install.py::test_each_installer",

@@ -27,6 +27,10 @@ SILENT_ONCE = (
 )
 
 
+#: A fault of each kind that the judge must find.
+FEW_MUTANTS = ("pairing by order of receipt", "joints by position", "LPS for RAS", "a stream is missing")
+
+
 @table("route", [name for name in ROUTES if name != "to_ros"])
 def test_an_ordinary_world_is_right_on_each_route(route: str) -> None:
     (verdict,) = world(0, [route], [])
@@ -55,7 +59,7 @@ def test_what_was_silent_once_is_not(seed: int, route: str) -> None:
     assert verdict.verdict != SILENT, (verdict.command, verdict.lines)
 
 
-@table("name", MUTANTS)
+@table("name", MUTANTS, gate=lambda name: name in FEW_MUTANTS)
 def test_a_mutant_is_found(name: str) -> None:
     assert is_found(name)
 
