@@ -134,7 +134,8 @@ def _is_whole(config: pytest.Config, marks: str) -> bool:
     """Whether this run has all tests with these marks: pytest was given no other selection."""
     chosen = config.option
     others = (chosen.keyword, chosen.deselect, chosen.ignore, chosen.ignore_glob, getattr(chosen, "lf", False))
-    return chosen.markexpr == marks and config.args_source is config.ArgsSource.TESTPATHS and not any(others)
+    is_all = config.args_source is config.ArgsSource.TESTPATHS and not any(others)
+    return is_all and bool(chosen.markexpr == marks)
 
 
 @pytest.mark.parametrize(("tier", "code"), [("slow", 0), ("not slow", 5)])
