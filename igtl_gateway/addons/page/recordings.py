@@ -202,8 +202,13 @@ class _Reader:
             lambda: Child("page-listing", _COMMAND, on_line=self._take, on_end=self._end, env=child_environment())
         )
 
-    def ask(self, path: Path, what: str = FACTS, *more: str, patience_s: float = _PATIENCE_S) -> dict[str, Any]:
-        """Return what it reads of a recording."""
+    def ask(self, path: Path, what: str = FACTS, *more: str, patience_s: float = 0.0) -> dict[str, Any]:
+        """Return what it reads of a recording.
+
+        Args:
+            patience_s: the longest time for it; 0: that of a first try.
+        """
+        patience_s = patience_s or _PATIENCE_S
         self._child.write(json.dumps([str(path), what, *more]) + "\n")
         with self._changed:
             self._changed.wait_for(lambda: self._lines or self._ended, patience_s)
