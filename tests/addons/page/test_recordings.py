@@ -131,6 +131,7 @@ def test_what_is_not_read_in_time_waits_behind_the_others_and_gets_more_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[tuple[str, float]] = []
+    monkeypatch.setattr("igtl_gateway.addons.page.recordings._PATIENCE_S", 30.0)
 
     def ask(_reader: _Reader, path: Path, *, patience_s: float) -> dict[str, Any]:
         asked.append((path.name, patience_s))
