@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from igtl_gateway.app.linting import observe as observe_entries
     from igtl_gateway.app.sealing import SealVerification as SealVerification
     from igtl_gateway.app.sealing import verify_seal as verify_seal
-    from igtl_gateway.app.verification import IMPORTED as IMPORTED
     from igtl_gateway.app.verification import Verification as Verification
     from igtl_gateway.app.verification import recorded_by as recorded_by
     from igtl_gateway.app.verification import segments_of as segments_of
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
     from igtl_gateway.gateway import Session as Session
     from igtl_gateway.gateway import make_core as make_core
     from igtl_gateway.gateway.log.ledger import gaps as ledger_gaps
+    from igtl_gateway.record.sessionfile.layout import IMPORTED_KEY as IMPORTED
     from igtl_gateway.record.sessionfile.seal_check import UNSEALED as UNSEALED
     from igtl_gateway.replay.compare import EXACT as EXACT
     from igtl_gateway.replay.compare import Delta as Delta
@@ -41,15 +41,13 @@ if TYPE_CHECKING:
     from igtl_gateway.replay.verify import VerifyReport as VerifyReport
 
 #: Names that are others there; the rest of the group is above.
-__all__ = ["ledger_gaps", "observe_entries"]
+__all__ = ["IMPORTED", "ledger_gaps", "observe_entries"]
 
 HOMES: Homes = (
     # The gateway: inputs of a session to its outputs
     ("gateway", "Session make_core"),
-    (
-        "app.verification",
-        "IMPORTED Verification recorded_by segments_of verify_recording verify_segment_of verify_session",
-    ),
+    ("app.verification", "Verification recorded_by segments_of verify_recording verify_segment_of verify_session"),
+    ("record.sessionfile.layout", "IMPORTED=IMPORTED_KEY"),
     ("replay.segments", "Segment SegmentResult verify_in_segments"),
     ("replay.verify", "VerifyReport"),
     # Differences of messages and of recordings

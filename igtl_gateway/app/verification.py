@@ -18,6 +18,7 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.sessionfile.columns import EntryColumns, Unfit
 from igtl_gateway.record.sessionfile.derived import who_computes
+from igtl_gateway.record.sessionfile.layout import IMPORTED_KEY
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import LeafDecoder
 from igtl_gateway.replay.recheck import can_recheck, message_counts, recheck
@@ -37,8 +38,6 @@ OnProgress = Callable[[int, int], None]
 
 #: Key of the version that recorded the session.
 _VERSION = "igtl_gateway_version"
-#: Key of the source format of an imported session.
-IMPORTED = "imported_format"
 #: ``Verification.config`` of the recorded configuration.
 RECORDED = "recorded"
 
@@ -228,9 +227,9 @@ def _check(file: SessionFile) -> None:
         raise UnsupportedRecording(f"{path}: found a merged session, expected a part: {path / file.merge.names[0]}")
     if file.foreign:
         raise UnsupportedRecording(f"{path}: found an MCAP file of another program, expected a session of igtl-gateway")
-    if IMPORTED in file.session:
+    if IMPORTED_KEY in file.session:
         raise UnsupportedRecording(
-            f"{path}: found an import ({file.session[IMPORTED]}), expected a recording of the gateway: "
+            f"{path}: found an import ({file.session[IMPORTED_KEY]}), expected a recording of the gateway: "
             "it has no outputs; `replay --through-gateway` computes them"
         )
 

@@ -86,10 +86,15 @@ def _run(options: argparse.Namespace, recording: Recording) -> int:
         problems = bool(summary["problems"])
         print_damaged_indexes(options.file, summary["damaged_indexes"])
         if options.file != STANDARD_INPUT:  # no other verb reads it
-            name, is_bag = str(options.file), bool(recording.bag)
-            print_next(
-                *info_steps(name, is_foreign=summary["foreign"], is_bag=is_bag, has_problems=problems, types=types)
+            steps = info_steps(
+                str(options.file),
+                is_foreign=summary["foreign"],
+                is_bag=bool(recording.bag),
+                verifies=layout.IMPORTED_KEY not in file.session,
+                has_problems=problems,
+                types=types,
             )
+            print_next(*steps)
     # the retention deletes the first parts, and nothing deletes one between others
     has_gap = any(first for first, _ in summary.get("missing_parts", []))
     bad_marks = bool(summary["added_marks"] and summary["added_marks"]["problem"])

@@ -89,11 +89,13 @@ from typing import Any, TypeVar
 
 from igtl_gateway.base.errors import ConfigError, DamagedRecording, UnsupportedRecording
 from igtl_gateway.base.globs import MAX_LENGTH, matches
+from igtl_gateway.base.near import did_you_mean, near_names
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.untrusted.files import read_bytes
 from igtl_gateway.base.untrusted.text import parse_toml
 from igtl_gateway.config.faults import RelayFaults
 from igtl_gateway.config.setting import GATEWAY, HOST, IGTL, RECORD, TYPE_NAMES
+from igtl_gateway.config.setting import unknown as unknown_setting
 from igtl_gateway.config.settings import (
     DEFAULT_KEEP_MIB,
     DEFAULT_LATCHED_MIB,
@@ -104,6 +106,7 @@ from igtl_gateway.config.settings import (
     STAMP_POLICIES,
     check_values,
     of_table,
+    table_with,
 )
 from igtl_gateway.convert import crtk
 from igtl_gateway.convert.arms import ArmsRow, arms_of_profile, arms_row
@@ -469,10 +472,15 @@ class Config:
         for table in (IGTL, HOST, RECORD, "trigger"):
             document.pop(table, None)
         gateway = document.pop("gateway", {})
-        if unknown := set(document) - _TABLES:
+        if unknown := sorted(set(document) - _TABLES):
+            if (home := table_with(unknown[0])) and not isinstance(document[unknown[0]], dict):
+                raise ConfigError(f"{path}: {unknown[0]}: found above all tables, expected in [{home}]")
             expected = ", ".join(f"[[{name}]]" for name in sorted(_TABLES | {"trigger"}))
             tables = f"[gateway], [{HOST}], [{IGTL}], [{RECORD}]"
-            raise ConfigError(f"{path}: found [{sorted(unknown)[0]}], expected {tables}, {expected}")
+            near = did_you_mean(near_names(unknown[0], {HOST, IGTL, RECORD, "gateway", "trigger", *_TABLES}))
+            raise ConfigError(
+                f"{path}: found [{unknown[0]}], expected {tables}, {expected}" + (f"; {near}" if near else "")
+            )
         if not isinstance(gateway, dict):
             raise ConfigError(f"{path}: found gateway = {gateway!r}, expected a table [gateway]")
         try:
@@ -583,8 +591,10 @@ def from_values(place: str, kind: type[T], settings: Mapping[str, Any]) -> T:
     arguments: dict[str, Any] = {}
     for name, value in settings.items():
         if name not in fields:
+            if place == GATEWAY and (home := table_with(name)) not in ("", GATEWAY):
+                raise ConfigError(f"{place}.{name}: found in [{place}], expected in [{home}]")
             known = (each for each, item in fields.items() if not item.metadata.get("recorded"))
-            raise ConfigError(f"{place}.{name}: unknown setting, expected one of {', '.join(known)}")
+            raise ConfigError(f"{place}.{name}: {unknown_setting(name, known)}")
         _check_text(f"{place}.{name}", value)
         arguments[name] = _checked(f"{place}.{name}", name, type(fields[name].default), value)
     return kind(**arguments)

@@ -23,6 +23,7 @@ from igtl_gateway.config.setting import (
     GATEWAY,
     HOST,
     IGTL,
+    NONE,
     RECORD,
     ROS_GRAPH,
     ROWS,
@@ -73,6 +74,8 @@ def check_values(place: str, table: str, values: Mapping[str, object]) -> dict[s
     for name, value in values.items():
         if name not in known:
             check_setting(name)
+            if home := table_with(name):
+                raise ConfigError(f"{place}.{name}: found in [{place}], expected in [{home}]")
             raise ConfigError(f"{place}.{name}: {unknown(name, known)}")
         try:
             checked[name] = known[name].check(value)
@@ -113,6 +116,12 @@ def of_table(table: str) -> dict[str, Setting]:
     # what a recording has does not wait for add-ons
     rows = SETTINGS if table in (GATEWAY, IGTL, ROWS) else all_settings()
     return {row.name: row for row in rows if row.table == table}
+
+
+def table_with(name: str) -> str:
+    """Return the table of a file that has this setting, "" if none or several have it."""
+    tables = {row.table for row in all_settings() if row.name == name and row.table not in (NONE, ROWS)}
+    return tables.pop() if len(tables) == 1 else ""
 
 
 def parameters() -> dict[str, Setting]:

@@ -280,7 +280,7 @@ def wrong_versions(stream: ObservedStream) -> list[int]:
 
 def mixed_versions(observed: Observer) -> Iterator[RuleMatch]:
     for peer in observed.peers.values():
-        if len([version for version in peer.received_versions if version in HEADER_VERSIONS]) > 1:
+        if len([version for version in peer.received_versions if version in HEADER_VERSIONS]) > 1 and not peer.follows:
             counts = ", ".join(
                 f"{count} of version {version}" for version, count in sorted(peer.received_versions.items())
             )

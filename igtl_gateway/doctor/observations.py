@@ -170,6 +170,8 @@ class ObservedPeer:
         messages: number of messages from the peer.
         received_bytes: bytes from the peer; known at the end of the link.
         received_versions: number of messages from the peer, for each header version.
+        version: header version of the last message from the peer; 0 before the first one.
+        follows: whether it has sent one version, or a newer one after it had received that, as PLUS does.
         first_sent_ns: header version → gateway time of the first message to the peer with it, UTC.
         head: first bytes from the peer that are not a complete message.
         head_code: code of the note that reported ``head``.
@@ -188,6 +190,8 @@ class ObservedPeer:
     messages: int = 0
     received_bytes: int = 0
     received_versions: Counter[int] = field(default_factory=Counter)
+    version: int = 0
+    follows: bool = True
     first_sent_ns: dict[int, int] = field(default_factory=dict)
     head: bytes = b""
     head_code: str = ""

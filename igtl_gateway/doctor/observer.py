@@ -180,6 +180,10 @@ class Observer:
             return
         peer.messages += 1
         peer.received_versions[header.version] += 1
+        if header.version != peer.version:
+            rises = header.version > peer.version
+            peer.follows &= not peer.version or (rises and header.version in peer.first_sent_ns)
+            peer.version = header.version
         if header.device_name == PROBE_DEVICE and header.type == "STATUS":
             return  # of a `doctor` that examines this session: no part of its traffic
         stream = self._stream(number, header)

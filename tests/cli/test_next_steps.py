@@ -12,6 +12,7 @@ from igtl_gateway.addons.exchange.targets import TARGETS
 from igtl_gateway.cli import main
 from igtl_gateway.cli.next_steps import command, info_steps, print_next
 from tests.places import FIXTURES
+from tests.plus_sequences import tracked
 from tests.tables import table
 
 
@@ -28,16 +29,29 @@ def test_steps_stand_in_two_columns(capsys: pytest.CaptureFixture[str]) -> None:
     ("facts", "verbs"),
     [
         (
-            {"is_foreign": False, "is_bag": False, "has_problems": False, "types": ["STRING/A"]},
+            {"types": ["STRING/A"]},
             ["verify", "replay", "export", "view"],
         ),
-        ({"is_foreign": False, "is_bag": False, "has_problems": True, "types": []}, ["verify", "doctor", "view"]),
-        ({"is_foreign": True, "is_bag": False, "has_problems": False, "types": []}, ["import", "view"]),
-        ({"is_foreign": True, "is_bag": True, "has_problems": False, "types": []}, ["import"]),
+        ({"verifies": False, "types": ["STRING/A"]}, ["replay", "export", "view"]),
+        ({"has_problems": True}, ["verify", "doctor", "view"]),
+        ({"is_foreign": True}, ["import", "view"]),
+        ({"is_foreign": True, "is_bag": True}, ["import"]),
     ],
 )
 def test_what_follows_info(facts: dict[str, object], verbs: list[str]) -> None:
-    assert [shlex.split(step)[1] for step, _ in info_steps("x.mcap", **facts)] == verbs  # type: ignore[arg-type]
+    all_facts = {"is_foreign": False, "is_bag": False, "verifies": True, "has_problems": False, "types": [], **facts}
+    assert [shlex.split(step)[1] for step, _ in info_steps("x.mcap", **all_facts)] == verbs  # type: ignore[arg-type]
+
+
+def test_what_verify_refuses_is_not_proposed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    imported = tmp_path / "imported.mcap"
+    tracked(tmp_path / "sweep.igs.mha")
+    assert main(["import", str(tmp_path / "sweep.igs.mha"), "-o", str(imported)]) == 0
+    capsys.readouterr()
+    assert main(["info", str(imported)]) == 0
+    steps = capsys.readouterr().out.partition("\nnext\n")[2]
+    assert " verify " not in steps and " replay " in steps
+    assert main(["verify", str(imported)]) == 2, "it refuses an import"
 
 
 @pytest.mark.slow

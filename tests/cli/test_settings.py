@@ -306,6 +306,12 @@ def test_the_keys_of_a_file_are_those_of_the_table(path: Path) -> None:
         ("[igtl]\nmax_body = { STRING = -1 }", "igtl.max_body: found 'STRING=-1', expected TYPE=MIB"),
         ("igtl = 4", "found igtl = 4, expected a table [igtl]"),
         ("host = 1", "found host = 1, expected a table [host]"),
+        ("connect = ['h:1']", "connect: found above all tables, expected in [igtl]"),
+        ("[gateway]\nlisten = []", "gateway.listen: found in [gateway], expected in [igtl]"),
+        ("[igtl]\nros_unit = 'm'", "igtl.ros_unit: found in [igtl], expected in [gateway]"),
+        ("[host]\nstamp = 'source'", "host.stamp: found in [host], expected in [gateway]"),
+        ("[[peers]]\nadress = 'h:1'", "peers[0].adress: unknown setting, expected one of at, profile"),
+        ("[[to_ros]]\ndevise = 'A'", "to_ros[0].devise: unknown setting, expected one of "),
         ("[edge]\nlisten = []", "found [edge], expected [gateway], [host], [igtl], [record], [[crtk]], [[peers]]"),
     ],
 )
@@ -314,6 +320,21 @@ def test_what_is_wrong_in_a_file_is_named_with_its_place(path: Path, text: str, 
     with pytest.raises(ConfigError) as error:
         values("--config", str(path))
     assert str(error.value).startswith(f"{path}: {words}")
+
+
+@pytest.mark.parametrize(
+    ("text", "near"),
+    [
+        ("[gatway]", "gateway"),
+        ("[[peer]]", "peers"),
+        ("[[to_ros]]\ndevise = 'A'", "device"),
+        ("[gateway]\nbas_frame = 'A'", "base_frame"),
+    ],
+)
+def test_what_is_misspelt_in_a_file_is_answered_with_the_nearest_name(path: Path, text: str, near: str) -> None:
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=f"; did you mean '{near}'"):
+        values("--config", str(path))
 
 
 def test_files_of_tls_are_seen_from_the_folder_of_the_file(path: Path) -> None:

@@ -182,6 +182,18 @@ CASES: dict[str, tuple[Callable[[], Scene], list[str]]] = {
         ["W112"],
     ),
     "reads slowly": (lambda: poses(scene(), [100]).note("queue_drop", peer=PEER), ["W114"]),
+    "follows the version that it receives": (
+        lambda: poses(poses(scene(), [100]).send(1).send(2), [200, 300], header_version=2),
+        [],
+    ),
+    "goes back": (
+        lambda: poses(poses(poses(scene(), [100]).send(2), [200], header_version=2), [300]),
+        ["W204"],
+    ),
+    "goes back and rises": (
+        lambda: poses(poses(poses(scene().send(2), [100], header_version=2), [200]), [300], header_version=2),
+        ["W204"],
+    ),
     "both versions": (lambda: poses(poses(scene(), [100]), [200], header_version=2), ["W204"]),
     "type in small letters": (lambda: scene().receive(Raw(b""), kind="Transform"), ["W208"]),
     "malformed": (lambda: scene().receive(Raw(b"abc")), ["E210"]),

@@ -267,8 +267,10 @@ def age_text(age_ns: float, text: str) -> str:
     """Return the age of messages on receipt in words: ``text`` with it, or what its sign or its size shows.
 
     A stamp of more than a day ago is no latency: the message was recorded in another session, or its clock does not
-    count from 1970.
+    count from 1970.  No network is faster than a microsecond: an import has made such times of receipt from the stamps.
     """
+    if abs(age_ns) < _LEAST_SHOWN_NS:
+        return "received at the stamp"
     if age_ns < 0:
         return f"stamped {duration_text(age_ns)} ahead of this clock"
     if age_ns > ANOTHER_SESSION_NS:

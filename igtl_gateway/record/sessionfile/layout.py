@@ -69,6 +69,8 @@ INCLUDE_KEY, EXCLUDE_KEY = "record_include", "record_exclude"
 CUSTOM_KEY = "custom_data"
 #: Key of the session metadata for the configuration; the attachment repeats it.
 CONFIGURATION_KEY = "config"
+#: The source format of an imported session.
+IMPORTED_KEY = "imported_format"
 FORMAT_VERSION_KEY = "format_version"
 #: Metadata records have no CRC in MCAP, so each of our own has one over its other items.
 CHECKSUM_KEY = "crc32"

@@ -82,6 +82,8 @@ def test_the_last_pause_between_two_arrivals() -> None:
     ("age_ns", "words"),
     [
         (3_100_000, "age 3.10 ms"),
+        (2, "received at the stamp"),
+        (-999, "received at the stamp"),
         (-250_000_000, "stamped 250 ms ahead of this clock"),
         (28_659_063_224_700_000, "recorded in another session: offset 332 days"),
         (1_790_000_000 * NS_PER_S, "stamped by a clock that does not count from 1970: offset 57 years"),
