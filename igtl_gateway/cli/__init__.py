@@ -23,6 +23,7 @@ from contextlib import AbstractContextManager, nullcontext
 from igtl_gateway.base import extras
 from igtl_gateway.base.errors import (
     ConfigError,
+    DamagedRecording,
     GatewayError,
     MissingAddon,
     OutputError,
@@ -34,7 +35,7 @@ from igtl_gateway.base.systems import service
 from igtl_gateway.base.systems.signals import endings_interrupt
 from igtl_gateway.base.untrusted import cpu_time, limits
 from igtl_gateway.cli.early_port import early_ports
-from igtl_gateway.cli.importing import import_hint
+from igtl_gateway.cli.importing import folder_hint, import_hint, several_hint
 from igtl_gateway.cli.options import HelpFormatter, add_file_mode, add_limits_of_files, shorten_usage
 from igtl_gateway.cli.ros_arguments import without_ros_arguments
 from igtl_gateway.cli.terminal import Parser, discard_outputs, flush_outputs, open_outputs, print_line
@@ -119,7 +120,8 @@ def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **e
         options, rest = parser.parse_known_args(given)
         if rest:
             at = verbs.choices.get(asked, parser)
-            at.error(at.unrecognized(rest[0]))
+            hint = several_hint(asked, options, rest)
+            at.error(at.unrecognized(rest[0]) + (f"; {hint}" if hint else ""))
         if not options.verb:
             parser.print_help()
             return USAGE
@@ -150,6 +152,8 @@ def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **e
     except GatewayError as error:
         if isinstance(error, OutputError):
             discard_outputs()
+        if isinstance(error, DamagedRecording) and (folder := folder_hint(error, options)):
+            return _print_error(options.verb, folder, USAGE)
         return _print_error(options.verb, error, failure)
     except BrokenPipeError:
         # the reader of the output has closed it: nothing more can be printed

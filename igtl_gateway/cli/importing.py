@@ -1,10 +1,12 @@
-"""The error of a verb that reads recordings, about a file of another program: how it becomes a recording."""
+"""The error of a verb that reads recordings, about what is no recording: what it is, and the command that takes it."""
 
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 
 from igtl_gateway.base.addons import is_present, part_of
@@ -12,18 +14,28 @@ from igtl_gateway.base.errors import GatewayError
 
 #: Words of the errors about files and directories that this program has not recorded.
 _NO_MCAP, _OTHERS, _FOLDER = "not an MCAP file", "of another program", "found a directory"
+#: Verb of one recording → that of `cohort`, which takes many.
+COHORT = {"info": "info", "doctor": "lint", "lint": "lint", "verify": "verify", "review": "review", "sync": "sync"}
+#: Recordings of a folder that are counted.
+_MOST = 10_000
+#: Recordings that a command names.
+_NAMED = 5
 _EXPECTED = "expected a recording of igtl-gateway (MCAP)"
 
 
 def import_hint(error: GatewayError, options: argparse.Namespace) -> str:
-    """Return the text of an error, with the command that imports the file of another program that it is about."""
+    """Return the text of an error, with what the file or folder is that it is about, and the command that takes it."""
     text = str(error)
     if getattr(options, "verb", "") == "import" or not is_present("exchange"):
         return text
+    if folder := folder_hint(error, options):
+        return folder
     for path in _paths(options):
         if f"{path}:" not in text or not path.exists():
             continue
         what = part_of("exchange", "formats:what_to_import")(path)
+        if not what and _NO_MCAP in text and (other := part_of("exchange", "formats:what_is_foreign")(path)):
+            return f"{path}: found {other}; {_EXPECTED}"
         if not what or (_is_mcap(path) and _OTHERS not in text):
             continue
         found = text
@@ -31,6 +43,49 @@ def import_hint(error: GatewayError, options: argparse.Namespace) -> str:
             found = f"{path}: found {what}, {_EXPECTED}"
         return f"{found}; run: igtl-gateway import {shlex.quote(str(path))} -o session.mcap"
     return text
+
+
+def folder_hint(error: GatewayError, options: argparse.Namespace) -> str:
+    """Return what to print instead of an error about a folder with several recordings; "" for any other error.
+
+    The error may be about the first of its files.
+    """
+    verb = getattr(options, "verb", "")
+    is_named = verb in COHORT
+    for path in _paths(options):
+        if not path.is_dir() or path == getattr(options, "output", None):
+            continue
+        if not (is_named or f"{path}:" in str(error) or f"{path}/" in str(error)):
+            continue
+        number = _recordings_in(path)
+        if number > 1 and is_present("exchange") and not part_of("exchange", "formats:is_bag")(path):
+            return f"{path}: {_several(number, path, verb)}"
+    return ""
+
+
+def _recordings_in(folder: Path) -> int:
+    """Return the number of MCAP files in and below a folder, at most `_MOST` of them."""
+    return sum(1 for _ in islice(folder.rglob("*.mcap"), _MOST))
+
+
+def _several(number: int, folder: Path, verb: str) -> str:
+    """Return the words about a folder with several recordings, with the command that takes all of them."""
+    many = f"found a directory with {number:,}{'' if number < _MOST else ' or more'} recordings, expected one of them"
+    return f"{many}; {_of_all(verb, [str(folder)])}" if verb in COHORT and is_present("cohort") else many
+
+
+def several_hint(verb: str, options: argparse.Namespace, further: Sequence[str]) -> str:
+    """Return the command for the recordings that were given to a verb of one, for its error; "" without one."""
+    if verb not in COHORT or not is_present("cohort") or not all(map(os.path.exists, further)):
+        return ""
+    first = [str(path) for path in _paths(options) if path.exists()][:1]
+    return _of_all(verb, [*first, *further])
+
+
+def _of_all(verb: str, sources: Sequence[str]) -> str:
+    """Return the words that name the command for several recordings, for a verb that `COHORT` has."""
+    words = " ".join(map(shlex.quote, sources)) if len(sources) <= _NAMED else "FILE ..."
+    return f"of all of them: igtl-gateway cohort {COHORT[verb]} {words} -o study"
 
 
 def _paths(options: argparse.Namespace) -> Iterator[Path]:

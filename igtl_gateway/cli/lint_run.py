@@ -6,7 +6,7 @@ import argparse
 
 from igtl_gateway.app.linting import observe
 from igtl_gateway.base.addons import is_present, part_of
-from igtl_gateway.base.errors import DamagedRecording
+from igtl_gateway.base.errors import BeingRecorded, DamagedRecording
 from igtl_gateway.base.quantities import count_text
 from igtl_gateway.cli.doctor_output import print_doctor
 from igtl_gateway.cli.terminal import print_json, print_line
@@ -26,7 +26,10 @@ def run(options: argparse.Namespace) -> int:
             raise  # it names the part that is damaged
         with Salvage.open(options.file) as salvage:
             seen = observe(salvage, options.config)
-        seen.damage = str(error)
+        if isinstance(error, BeingRecorded):
+            seen.growing = str(error).removeprefix(f"{options.file}: ")
+        else:
+            seen.damage = str(error)
     report = DoctorReport.of(seen)
     if options.json:
         print_json({"file": str(options.file)} | report.to_dict())

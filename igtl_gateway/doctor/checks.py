@@ -495,7 +495,9 @@ def late(observed: Observer) -> Iterator[RuleMatch]:
 
 
 def no_source(observed: Observer) -> Iterator[RuleMatch]:
-    """A configured source that is not there."""
+    """A configured source that is not there; of a damaged recording, it may be in what cannot be read."""
+    if observed.damage:
+        return
     missing = observed.sources.missing(
         observed.streams.values(), observed.topics, observed.peers.values(), observed.graph
     )
@@ -531,6 +533,11 @@ def damaged(observed: Observer) -> Iterator[RuleMatch]:
             "channels before it are: all messages are there, but programs that use these may miss some"
         )
         yield RuleMatch("index", text, {"chunks": number})
+
+
+def growing(observed: Observer) -> Iterator[RuleMatch]:
+    if observed.growing:
+        yield RuleMatch("recording", observed.growing)
 
 
 def lost(observed: Observer) -> Iterator[RuleMatch]:

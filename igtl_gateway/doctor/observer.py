@@ -72,6 +72,7 @@ class Observer:
         sources: what of the configuration is there.
         graph: publishers and subscriptions in ROS that concern the gateway; None if not observed.
         damage: damage of the recording itself; "" without damage.
+        growing: that another program still writes the recording; "" if none does.
         damaged_indexes: number of chunks of the recording whose index of messages is damaged.
         losses: reason → number of lost messages, by the ledger of the recording.
         lags: (stream, the one that it is behind, lag in s) of streams with the same movement.
@@ -90,6 +91,7 @@ class Observer:
         self.sources = ObservedSources(config)
         self.graph: Graph | None = None
         self.damage = ""
+        self.growing = ""
         self.damaged_indexes = 0
         self.losses: dict[str, int] = {}
         self.lags: list[tuple[str, str, float]] = []

@@ -407,6 +407,10 @@ RULES: tuple[Rule, ...] = (
         "IGTL-I704", "no OpenIGTLink messages", "docs/reference/session-log.md",
         "record with peers connected", checks.no_messages,
     ),
+    Rule(
+        "IGTL-I705", "the recording goes on", "docs/reference/session-log.md",
+        "ask again when the recording has ended: findings are of what is on the disk by now", checks.growing,
+    ),
 )  # fmt: skip
 
 

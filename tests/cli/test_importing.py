@@ -54,10 +54,66 @@ def test_the_folder_of_a_bag_of_several_files(
         assert "; run: igtl-gateway import 'my bag' -o session.mcap" in printed(command, "my bag", capsys), command
 
 
-@pytest.mark.parametrize("start", [b"a,b\n1,2\n", b"hello\n"])
-def test_what_no_import_reads_has_no_such_command(
-    start: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+#: Name → how such a file begins, and what is printed of it.
+OTHERS = {
+    "a.csv": (b"a,b\n1,2\n", "a table, which no verb imports, but pandas and DuckDB read"),
+    "plus.log": (b"|INFO|000|", "a log of a program, which no verb reads"),
+    "a.txt": (b"hello\n", "text, which no verb reads"),
+    "a.toml": (b"listen = []\n", "a configuration, which `bridge --config` and `resim --recipe` take"),
+    "a.urdf": (b"<robot name='a'/>", "a robot, which `view --urdf` takes"),
+    "a.parquet": (b"PAR1", "a table of Parquet, which no verb imports, but pandas and DuckDB read"),
+    "a.rrd": (b"RRF2", "a recording of rerun, which the program rerun shows"),
+    "a.zip": (b"PK\3\4", "an archive, which must be unpacked first"),
+    "a.png": (b"\x89PNG\r\n", "a picture, which has no times and is not imported"),
+}
+
+
+def test_what_no_import_reads_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = tmp_path / "x.csv"
-    path.write_bytes(start)
-    assert "igtl-gateway import" not in printed("info X", str(path), capsys)
+    monkeypatch.chdir(tmp_path)
+    for name, (start, what) in OTHERS.items():
+        Path(name).write_bytes(start)
+        for command in ("info X", "verify X", "doctor X"):
+            found = printed(command, name, capsys)
+            assert " ".join(found.split()).endswith(
+                f"{name}: found {what}; expected a recording of igtl-gateway (MCAP)"
+            ), command
+
+
+@pytest.mark.parametrize("first", ["a.mcap", "0-damaged.mcap"])
+def test_a_folder_of_recordings_is_no_bag(
+    first: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "study" / "monday").mkdir(parents=True)
+    data = Path(A).read_bytes()
+    (tmp_path / "study" / first).write_bytes(data if first == "a.mcap" else data[:-100])
+    for name in ("b.mcap", "monday/c.mcap"):
+        (tmp_path / "study" / name).write_bytes(data)
+    for verb, many in {
+        "info": "info",
+        "verify": "verify",
+        "doctor": "lint",
+        "review": "review",
+        "sync": "sync",
+    }.items():
+        for folder in ("study", "."):
+            found = " ".join(printed(f"{verb} X", folder, capsys).split())
+            assert f"{folder}: found a directory with 3 recordings, expected one of them" in found, verb
+            assert f"of all of them: igtl-gateway cohort {many} {folder} -o study" in found and "import" not in found
+    for verb in ("slice X -o o.mcap", "view X -o o.rrd"):
+        assert printed(verb, "study", capsys).endswith("found a directory with 3 recordings, expected one of them\n")
+
+
+def test_several_recordings_are_those_of_a_cohort(capsys: pytest.CaptureFixture[str]) -> None:
+    for verb, many in (("verify", "verify"), ("info", "info"), ("doctor", "lint")):
+        with pytest.raises(SystemExit, match="2"):
+            main([verb, A, A])
+        found = " ".join(capsys.readouterr().err.split())
+        assert found.endswith(
+            f"unrecognized arguments: {A}; of all of them: igtl-gateway cohort {many} {A} {A} -o study"
+        )
+    with pytest.raises(SystemExit, match="2"):
+        main(["verify", A, "absent.mcap"])
+    assert "cohort" not in capsys.readouterr().err

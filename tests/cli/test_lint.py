@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,18 @@ def test_a_damaged_recording_is_judged_as_far_as_it_can_be_read(
     code, told = linted(capsys, path)
     assert (code, told["cause"]["id"]) == (1, "IGTL-E701")
     assert told["streams"]
+
+
+def test_a_recording_that_goes_on_is_not_recovered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "growing.mcap"
+    data = (FIXTURES / "paper-types.mcap").read_bytes()
+    path.write_bytes(data[: len(data) * 3 // 4])
+    with path.open("ab") as writer:
+        fcntl.flock(writer, fcntl.LOCK_EX)
+        _, found = linted(capsys, path)
+    ids = [one["id"] for one in found["findings"]]
+    assert "IGTL-I705" in ids and "IGTL-E701" not in ids
+    assert "recover" not in json.dumps(found)
 
 
 def test_what_is_no_recording_is_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

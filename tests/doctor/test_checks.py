@@ -304,6 +304,21 @@ def test_the_ledger_and_the_damage_of_a_recording() -> None:
     assert made.found == ["E701", "W703"]
 
 
+def test_a_recording_that_goes_on_is_not_damaged() -> None:
+    made = poses(scene(), [100])
+    made.observed.growing = "is being recorded"
+    assert made.found == ["I705"]
+
+
+def test_what_is_configured_may_be_in_what_cannot_be_read() -> None:
+    made = scene()
+    made.observed = Observer(Config.from_dict({"to_ros": [{"device": "Planner"}]}))
+    made.observed.sources.is_recording = True
+    assert "W607" in made.found
+    made.observed.damage = "cut off"
+    assert "W607" not in made.found
+
+
 def test_streams_beyond_the_limit_are_not_observed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("igtl_gateway.doctor.observer.MAX_STREAMS", 3)
     made = scene()

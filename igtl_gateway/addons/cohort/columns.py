@@ -1,7 +1,7 @@
 """The columns of the tables, with types and meanings; without the libraries that read and write them.
 
-A change of a column's name, type or meaning makes a new ``SCHEMA_VERSION``.  All lengths are in the unit that the name
-ends with; times are UTC.
+SQL takes all names without quotes.  A change of a column's name, type or meaning makes a new ``SCHEMA_VERSION``.
+All lengths are in the unit that the name ends with; times are UTC.
 """
 
 from __future__ import annotations
@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+#: Columns of version 1 whose names are reserved words of SQL → their names now.
+RENAMED = {"foreign": "is_foreign", "end": "end_time"}
 
 Row = dict[str, Any]
 
@@ -48,7 +50,7 @@ TABLES: Mapping[str, Mapping[str, str]] = {
         "entries": "int",
         "streams": "int",
         "format_version": "int",
-        "foreign": "truth",
+        "is_foreign": "truth",
         "recorded_by": "text",
         "scenario": "text",
         "imported": "text",
@@ -114,7 +116,7 @@ TABLES: Mapping[str, Mapping[str, str]] = {
         "text": "text",
         "who": "text",
         "time": "time",
-        "end": "time",
+        "end_time": "time",
         "is_open": "truth",
     },
     "reviews": {

@@ -195,7 +195,7 @@ def _info(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
         "entries": file.entry_count,
         "streams": len(streams),
         "format_version": file.format_version,
-        "foreign": file.foreign,
+        "is_foreign": file.foreign,
         "recorded_by": session.get("igtl_gateway_version"),
         "scenario": session.get("scenario"),
         "imported": session.get(IMPORTED),
@@ -236,7 +236,7 @@ def _marks(file: SessionFile, content: ContentSummary) -> Iterator[Row]:
             "text": mark.text,
             "who": mark.who,
             "time": mark.time_ns,
-            "end": mark.end_ns,
+            "end_time": mark.end_ns,
             "is_open": mark.is_open,
         }
 

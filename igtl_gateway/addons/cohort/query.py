@@ -6,6 +6,7 @@ settings, so that a question of anyone can be answered.
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ from igtl_gateway.addon import ConfigError, GatewayError, Unavailable
 from igtl_gateway.addon.processes import extras
 from igtl_gateway.addon.untrusted import limits
 from igtl_gateway.addon.writing import open_new
+from igtl_gateway.addons.cohort.columns import RENAMED
 from igtl_gateway.addons.cohort.ends import VERB_NAMES
 from igtl_gateway.addons.cohort.loading import Tables, reason
 from igtl_gateway.addons.cohort.parts import MANIFEST
@@ -126,11 +128,17 @@ class Questions:
                     raise limits.exceeded("seconds", "a longer question", "query", f"{bounds.seconds} s") from None
                 case "OutOfMemoryException":
                     raise limits.exceeded("memory", "more memory", "query", f"{bounds.memory} bytes") from None
-            raise ConfigError(f"query: {reason(error, self._tables.devices)}") from None
+            raise ConfigError(f"query: {reason(error, self._tables.devices)}{_renamed(str(error))}") from None
         except (OverflowError, ValueError) as error:
             raise _no_value(error) from None
         finally:
             over.cancel()
+
+
+def _renamed(error: str) -> str:
+    """Return what to write for a column of an older version that an error of DuckDB is about; "" for none."""
+    named = re.search(r'(?:at or near|column|column named) "(\w+)"', error)
+    return f"; the column is {RENAMED[named[1]]}" if named and named[1] in RENAMED else ""
 
 
 def _no_value(error: Exception) -> ConfigError:

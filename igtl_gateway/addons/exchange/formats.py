@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,8 @@ from igtl_gateway.addons.exchange.source import Source, library_errors_as_damage
 
 #: This number of bytes at the start of a file shows its format.
 START = 512
+#: The number of a part in the name of a file of a bag, and what follows.
+_PART = re.compile(r"_[0-9]+\.(db3|mcap).*$")
 #: The format of raw messages.
 IGTL = "igtl"
 _META_KEYS = (
@@ -97,16 +100,37 @@ FORMATS = (
     ImportFormat(IGTL, "a stream of OpenIGTLink messages", (".igtl",), looks_like_igtl, Capture),
 )
 
-#: What is no recording, but found beside them: the beginning of a file, or else its suffix → its name for people.
+_NOT_IMPORTED = "which has no times and is not imported"
+_UNPACK = "which must be unpacked first"
+_TABLE = "which no verb imports, but pandas and DuckDB read"
+#: What is no recording, but found beside them: the beginning of a file, or else its suffix → its name for people, and
+#: what takes it.
 _OTHERS = (
-    (b"# vtk DataFile Version", ".vtk", "a model of VTK"),
-    (b"<VTKFile", ".vtp", "a model of VTK"),
-    (b"ply\n", ".ply", "a model of PLY"),
-    (b"ply\r\n", ".ply", "a model of PLY"),
-    (b"solid ", ".stl", "a model of STL"),
-    (b"", ".obj", "a model of OBJ"),
-    (b"", ".csv", "a table"),
-    (b"", ".tsv", "a table"),
+    (b"# vtk DataFile Version", ".vtk", "a model of VTK", _NOT_IMPORTED),
+    (b"<VTKFile", ".vtp", "a model of VTK", _NOT_IMPORTED),
+    (b"ply\n", ".ply", "a model of PLY", _NOT_IMPORTED),
+    (b"ply\r\n", ".ply", "a model of PLY", _NOT_IMPORTED),
+    (b"solid ", ".stl", "a model of STL", _NOT_IMPORTED),
+    (b"", ".obj", "a model of OBJ", _NOT_IMPORTED),
+    (b"", ".csv", "a table", _TABLE),
+    (b"", ".tsv", "a table", _TABLE),
+    (b"PAR1", ".parquet", "a table of Parquet", _TABLE),
+    (b"ARROW1", ".arrow", "a table of Arrow", _TABLE),
+    (b"RRF2", ".rrd", "a recording of rerun", "which the program rerun shows"),
+    (b"\x89PNG", ".png", "a picture", _NOT_IMPORTED),
+    (b"\xff\xd8\xff", ".jpg", "a picture", _NOT_IMPORTED),
+    (b"", ".mp4", "a video", "which no verb imports"),
+    (b"", ".avi", "a video", "which no verb imports"),
+    (b"PK\x03\x04", ".zip", "an archive", _UNPACK),
+    (b"\x1f\x8b", ".gz", "an archive", _UNPACK),
+    (b"\x28\xb5\x2f\xfd", ".zst", "an archive", _UNPACK),
+    (b"", ".tar", "an archive", _UNPACK),
+    (b"", ".toml", "a configuration", "which `bridge --config` and `resim --recipe` take"),
+    (b"", ".urdf", "a robot", "which `view --urdf` takes"),
+    (b"", ".xml", "XML", "which no verb reads"),
+    (b"", ".json", "JSON", "which no verb reads"),
+    (b"", ".log", "a log of a program", "which no verb reads"),
+    (b"", ".txt", "text", "which no verb reads"),
 )
 
 
@@ -129,7 +153,7 @@ def open_source(path: Path, epoch_ns: int | None = None) -> Source:
     if not path.exists():
         raise NoSuchRecording(f"{path}: no such file")
     if path.is_dir():
-        if _is_bag(path):
+        if is_bag(path):
             return Rosbag2(path)
         raise UnsupportedRecording(f"{path}: found a directory without {METADATA}, expected a rosbag2 recording")
     with library_errors_as_damage(path), files.open_file(path) as stream:
@@ -142,6 +166,27 @@ def open_source(path: Path, epoch_ns: int | None = None) -> Source:
     raise UnsupportedRecording(f"{path}: found {_found(path, start)}, expected one of these: {suffixes}")
 
 
+def is_bag(folder: Path) -> bool:
+    """Return whether a folder is a bag: it has the metadata of one, or its files are the parts of one, by their names.
+
+    Recordings beside each other are not one.
+    """
+    if (folder / METADATA).exists():
+        return True
+    names = {path.name for pattern in ("*.db3*", "*.mcap*") for path in folder.glob(pattern)}
+    return bool(names) and (len(names) == 1 or len({_PART.sub("", name) for name in names}) == 1)
+
+
+def what_is_foreign(path: Path) -> str:
+    """Return what a file is that no import reads, and what takes it, in words; "" if neither is known."""
+    try:
+        with files.open_file(path) as stream:
+            start = stream.read(START)
+    except (GatewayError, OSError):
+        return ""
+    return _foreign(path, start)
+
+
 def what_to_import(path: Path) -> str:
     """Return what a file or directory is that only an import reads, in words; "" for anything else.
 
@@ -149,7 +194,7 @@ def what_to_import(path: Path) -> str:
     """
     try:
         if path.is_dir():
-            return "a bag of rosbag2" if _is_bag(path) else ""
+            return "a bag of rosbag2" if is_bag(path) else ""
         with files.open_file(path) as stream:
             start = stream.read(START)
     except (GatewayError, OSError):
@@ -160,13 +205,13 @@ def what_to_import(path: Path) -> str:
     return kind.what if kind else ""
 
 
-def _is_bag(folder: Path) -> bool:
-    return (folder / METADATA).exists() or any(folder.glob("*.db3*")) or any(folder.glob("*.mcap*"))
+def _foreign(path: Path, start: bytes) -> str:
+    """Return what a file in no format of the table is, by its first bytes, or else by its suffix; "" if unknown."""
+    by_start = (each[2:] for each in _OTHERS if each[0] and each[0] in start[: len(each[0]) + 64])
+    by_suffix = (each[2:] for each in _OTHERS if path.name.lower().endswith(each[1]))
+    found = next(by_start, None) or next(by_suffix, None)
+    return ", ".join(found) if found else ""
 
 
 def _found(path: Path, start: bytes) -> str:
-    """Return what a file is that is in no format of the table, by its first bytes, or else by its suffix."""
-    by_start = (name for begin, _, name in _OTHERS if begin and begin in start[: len(begin) + 64])
-    by_suffix = (name for _, suffix, name in _OTHERS if path.name.lower().endswith(suffix))
-    name = next(by_start, None) or next(by_suffix, None)
-    return f"{name}, which has no times and is not imported" if name else f"{start[:16]!r} at its start"
+    return _foreign(path, start) or f"{start[:16]!r} at its start"

@@ -14,7 +14,7 @@ def test_a_cohort_has_a_table_of_marks(tmp_path: Path) -> None:
     recording = marked.write(tmp_path / "out.mcap", marked.entries(every=10)[0])
     with SessionFile.open(recording) as file:
         rows = _lint(file, {})["marks"]
-    assert [(row["label"], row["end"] is None, row["is_open"]) for row in rows] == [
+    assert [(row["label"], row["end_time"] is None, row["is_open"]) for row in rows] == [
         ("suture-1", False, False),
         ("slip", True, False),
         ("suture-2", False, False),

@@ -39,7 +39,7 @@ def test_which_parts_count(facts: dict[str, Any], parts: Parts, tmp_path: Path) 
 @table(
     ("facts", "reason"),
     [
-        ({"schema_version": 2}, "found tables of version 2, expected 1; use another folder"),
+        ({"schema_version": 1}, "found tables of version 1, expected 2; use another folder"),
         ({"schema_version": None}, "found tables of version None"),
         ({"parts": "000001"}, "found parts '000001', expected a list of numbers"),
         ({"parts": [1]}, "found parts [1], expected a list of numbers"),

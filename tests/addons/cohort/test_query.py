@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("duckdb", reason='needs DuckDB: pip install "igtl-gateway[cohort]"')
 pytest.importorskip("pyarrow", reason='needs pyarrow: pip install "igtl-gateway[cohort]"')
 
+from igtl_gateway.addons.cohort.columns import TABLES
 from igtl_gateway.addons.cohort.query import asking
 from igtl_gateway.addons.cohort.results import Results
 from igtl_gateway.base.errors import ConfigError, GatewayError
@@ -89,6 +90,17 @@ def test_questions_only_read_the_tables(out: Path) -> None:
             with pytest.raises(ConfigError, match="query: "):
                 questions.answer(sql)
         assert questions.rows("SELECT count(*) AS n FROM tasks") == [{"n": 4}]
+
+
+def test_sql_takes_all_names_without_quotes(out: Path) -> None:
+    with asking(out) as questions:
+        for name, columns in TABLES.items():
+            for column in columns:
+                questions.rows(f"SELECT {column} FROM {name} WHERE {column} IS NOT NULL ORDER BY {column}")
+        for old, new, of in (("end", "end_time", "marks"), ("foreign", "is_foreign", "recordings")):
+            for sql in (f"SELECT {old} FROM {of}", f'SELECT "{old}" FROM {of}', f"SELECT m.{old} FROM {of} m"):
+                with pytest.raises(ConfigError, match=f"; the column is {new}$"):
+                    questions.rows(sql)
 
 
 def test_answers_as_table_json_csv_and_parquet(out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
