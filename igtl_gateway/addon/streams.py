@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from igtl_gateway.api.csv_lines import csv_lines as csv_lines
     from igtl_gateway.api.csv_lines import number_cell as number_cell
     from igtl_gateway.api.csv_lines import rows_of_cell as rows_of_cell
+    from igtl_gateway.api.field_numbers import FieldNumbers as FieldNumbers
+    from igtl_gateway.api.field_numbers import FieldReader as FieldReader
     from igtl_gateway.api.igtl_columns import POSE_TYPES as POSE_TYPES
     from igtl_gateway.api.igtl_columns import crcs as crcs
     from igtl_gateway.api.igtl_columns import pose_columns as pose_columns
@@ -53,6 +55,8 @@ if TYPE_CHECKING:
     from igtl_gateway.gateway.log.one_clock import StreamTimes as StreamTimes
     from igtl_gateway.gateway.log.one_clock import one_clock as one_clock
     from igtl_gateway.gateway.log.timing import GAP_NS as GAP_NS
+    from igtl_gateway.gateway.stream_units import StreamUnits as StreamUnits
+    from igtl_gateway.gateway.stream_units import arm_units as arm_units
 
 HOMES: Homes = (
     # Two streams: one clock for both, and the messages that belong to a moment
@@ -60,6 +64,7 @@ HOMES: Homes = (
     ("gateway.log.interleaving", "Interleaving"),
     ("gateway.log.joining", "END_NS pick"),
     ("gateway.log.timing", "GAP_NS"),
+    ("gateway.stream_units", "StreamUnits arm_units"),
     # Poses, and numbers of joints by their names
     ("api.poses", "between_poses matrices_of"),
     ("api.posing", "tools_of transforms_of"),
@@ -73,6 +78,7 @@ HOMES: Homes = (
     ("api.columns", "Cells HEAD LINK MAX_COLUMNS MAX_NUMBERS TooLong name_igtl_fields name_ros_fields table_rows"),
     ("api.arrow_tables", "TableMaker fitted unified"),
     ("api.cdr_columns", "Column NotColumns ros_columns"),
+    ("api.field_numbers", "FieldNumbers FieldReader"),
     ("api.csv_lines", "Cell cell_text csv_lines number_cell rows_of_cell"),
 )
 

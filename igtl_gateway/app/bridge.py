@@ -333,6 +333,15 @@ class Bridge:
         if self._passage:
             self._passage.collect()
 
+    def show(self, kind: Kind, channel: str) -> None:
+        """Have ``on_entry`` called with the next message of a stream, although its messages pass natively.
+
+        Args:
+            kind, channel: of its entries; what is made of a message comes with it.
+        """
+        if self._passage:
+            self._passage.show(kind, channel)
+
     def native_times(self) -> dict[str, Any]:
         """Return where the time of messages went in the native passage; empty without one."""
         return self._passage.times() if self._passage else {}

@@ -181,6 +181,12 @@ class BridgePassage:
             self.streams.retry()
             return self._reports.look(self.streams.states())
 
+    def show(self, kind: Kind, channel: str) -> None:
+        """Have Python pass the next message of a stream."""
+        if keys := self.streams.keys_with(kind, channel):
+            with self._passage:
+                self.streams.pass_once(keys)
+
     def stop(self) -> None:
         """Leave all messages to Python."""
         with self._passage:

@@ -52,6 +52,9 @@ class Facts:
     def plot(self, name: str, key: str, field: str) -> dict[str, Any] | None:
         return None
 
+    def curve(self, side: str, stream: str, field: str) -> dict[str, Any] | None:
+        return None
+
     def lines(self, job: int) -> list[str]:
         return []
 

@@ -135,6 +135,9 @@ class _Facts:
         values = [None if at == 5 else at * 1.5 - 20 for at in range(30)]
         return found | {"times": [25.0 * at for at in range(30)], "values": values, "every": 9, "messages": 268}
 
+    def curve(self, side: str, stream: str, field: str) -> dict[str, Any] | None:
+        return None
+
     def lines(self, job: int) -> list[str]:
         return [_ADVICE] * 3
 

@@ -24,6 +24,7 @@ from igtl_gateway.addon.live import RECORDING_ACTIONS, Handler, LocalServer
 from igtl_gateway.addon.processes import Child
 from igtl_gateway.addon.reading import Entry, Kind, Level, MarkNote, Note
 from igtl_gateway.addon.settings import Acceptance
+from igtl_gateway.addons.page.live_numbers import LiveNumbers
 from igtl_gateway.addons.page.sample import sample_of
 
 if TYPE_CHECKING:
@@ -83,11 +84,14 @@ class Pictures:
         self._kept: dict[tuple[str, str], tuple[int, bytes]] = {}
         #: Topic → its type: the first message of each passes here.
         self.types: dict[str, str] = {}
+        self.numbers = LiveNumbers(self.types)
 
     def __call__(self, entry: Entry) -> Callable[[], None] | None:
         """Return the copy of a picture, to be made without the lock; None for what is not kept."""
         if entry.kind in _ROS and entry.channel not in self.types and len(self.types) < _MAX_TYPES:
             self.types[entry.channel] = entry.type
+        if copy := self.numbers(entry):
+            return copy
         if not self._until_ns or not entry.channel.startswith("IMAGE/"):
             return None
         now_ns = self._clock.monotonic_ns()
@@ -183,6 +187,13 @@ class BridgePage:
             except WireError:
                 return b""
         return data
+
+    def numbers(self, side: str, stream: str) -> dict[str, Any]:
+        """Return the messages of a stream since the last call; see ``LiveNumbers.take``."""
+        session = self._session
+        if not session:
+            return {"messages": [], "problem": "no session runs"}
+        return self.pictures.numbers.take(session.bridge, side, stream)
 
     def update(self, session: RunningSession | None, events: Sequence[NoteEvent] = ()) -> None:
         """Take the session that runs now, and its notes since the last call.  Twice a second, after its ``collect``."""
@@ -334,6 +345,10 @@ class _Handler(Handler):
             data = self.page.picture(*(words.get(name, [""])[0] for name in ("side", "stream")))
             self.begin(200, "application/octet-stream", len(data))
             self.wfile.write(data)
+        elif path == "/numbers":
+            words = parse_qs(urlsplit(self.path).query)
+            found = self.page.numbers(*(words.get(name, [""])[0] for name in ("side", "stream")))
+            self.answer(200, "application/json", json.dumps(found, separators=(",", ":")))
         else:
             self.answer(404, "text/plain; charset=utf-8", "not found\n")
 

@@ -12,7 +12,7 @@ import sys
 import threading
 from collections import deque
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.addon import NS_PER_S, GatewayError, SystemClock, __version__, failure_text
 from igtl_gateway.addon.live import TlsFiles
@@ -27,6 +27,9 @@ from igtl_gateway.addons.page.results import Results, keep_newest
 from igtl_gateway.addons.page.server import PageServer
 from igtl_gateway.addons.page.source import BridgeSource, Poller
 from igtl_gateway.addons.page.starting import Starters, directly
+
+if TYPE_CHECKING:
+    from igtl_gateway.addons.page.curves import Curves
 
 #: Actions that are the bridge's.
 _BRIDGE = ("start", "stop", "pause", "resume", "mark", "snapshot", "split", "end")
@@ -53,6 +56,7 @@ class Page:
         work, replays = (starters.work, starters.replays) if starters else (directly, directly)
         self._clock = SystemClock()
         self._source = source
+        self._curves: Curves | None = None
         self.recordings = Recordings(folder, work) if folder else None
         self.jobs = Jobs(self._take_result, work)
         self._results = Results(folder)
@@ -133,6 +137,16 @@ class Page:
     def plot(self, name: str, key: str, field: str) -> dict[str, Any] | None:
         """Return numbers of a stream of a recording; None for an unknown one."""
         return self.recordings.plot(name, key, field) if self.recordings else None
+
+    def curve(self, side: str, stream: str, field: str) -> dict[str, Any] | None:
+        """Return the last minute of a number of a stream of the bridge; None without a bridge."""
+        if not self._source:
+            return None
+        from igtl_gateway.addons.page.curves import Curves  # here: the page does not wait for what decodes
+
+        with self._lock:
+            curves = self._curves = self._curves or Curves(self._source.numbers)
+        return curves.read(side, stream, field)
 
     def _take_result(self, job: Job) -> None:
         """Keep the result of a job, if its recording is as it was at the begin."""

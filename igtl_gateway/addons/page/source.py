@@ -47,6 +47,14 @@ class BridgeSource:
         except (OSError, URLError):
             return b""
 
+    def numbers(self, side: str, stream: str) -> dict[str, Any]:
+        """Return the messages of a stream since the last call, as ``LiveNumbers.take``; ``problem`` without them."""
+        try:
+            found = json.loads(self._read(f"/numbers?{urlencode({'side': side, 'stream': stream})}", None, _PATIENCE_S))
+        except (OSError, URLError, HTTPException, ValueError):
+            return {"messages": [], "problem": "the bridge does not answer"}
+        return dict(found)
+
     def press(self, what: str, line: str, since_ns: int = 0) -> tuple[bool, str]:
         """Have the bridge do something; return whether it did, and a sentence for people.
 

@@ -282,6 +282,15 @@ class PassageStreams:
             self.collect_removed()
             self._removed.append(old)
 
+    def keys_with(self, kind: Kind, channel: str) -> list[Key]:
+        """Return the streams whose messages, or what is made of them, are entries of a kind and channel."""
+        return [key for key, copy in list(self._copies.items()) if _has(copy, kind, channel)]
+
+    def pass_once(self, keys: Sequence[Key]) -> None:
+        """Have Python pass the next message of each of these streams; those after it pass natively again."""
+        for key in keys:
+            self.drop(key)
+
     def drop_all(self) -> None:
         for key in list(self._copies):
             self.drop(key)
@@ -398,6 +407,17 @@ class PassageStreams:
             self._on_passed(Kind.ROS_IN, received)
             self._on_passed(Kind.IGTL_OUT, sum(sent))
         _add(compiled.count, counts)
+
+
+def _has(copy: _Copy, kind: Kind, channel: str) -> bool:
+    compiled = copy.compiled
+    if isinstance(compiled, CompiledToRos):
+        if kind is Kind.IGTL_IN:
+            return compiled.channel == channel
+        return kind is Kind.ROS_OUT and any(topic == channel for topic, _, _, _ in compiled.outputs)
+    if kind is Kind.ROS_IN:
+        return copy.channel == channel
+    return kind is Kind.IGTL_OUT and any(output.channel == channel for output, _, _ in compiled.outputs)
 
 
 def _in_ledger(key: Key, stream: CompiledToRos | CompiledToIgtl) -> tuple[str, str]:

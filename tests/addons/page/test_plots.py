@@ -4,30 +4,14 @@ import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 import igtl_gateway
 from igtl_gateway.addons.page import plots
 from igtl_gateway.addons.page.plot_field import usual_field
-from igtl_gateway.addons.page.plots import numbers_of, plot_of
+from igtl_gateway.addons.page.plots import plot_of, shown
 from igtl_gateway.addons.page.recordings import Recordings
 from tests.places import FIXTURES
-
-
-def test_a_number_has_the_name_that_a_person_gives_it() -> None:
-    joints = {"header": {"stamp_ns": 5, "seq": 1}, "name": ["elbow", "wrist"], "position": np.array([1.0, 2.0])}
-    assert numbers_of(joints | {"effort": [3.0], "is_homed": True}) == {
-        "header.stamp_ns": 5.0,
-        "position.elbow": 1.0,
-        "position.wrist": 2.0,
-        "effort.0": 3.0,
-        "is_homed": 1.0,
-    }
-    tools = {"elements": [{"name": "Stylus", "x_mm": 4.0}, {"name": "", "x_mm": 5.0}], "pixels": bytes(9)}
-    assert numbers_of(tools) == {"Stylus.x_mm": 4.0, "elements.1.x_mm": 5.0}
-    assert numbers_of({"data": np.zeros(65), "text": "7", "none": None}) == {}
-    assert len(numbers_of({str(number): number for number in range(999)})) == plots.MAX_FIELDS
 
 
 def test_the_numbers_of_a_recording(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -49,7 +33,7 @@ def test_the_numbers_of_a_recording(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_what_cannot_be_plotted_has_a_reason(tmp_path: Path) -> None:
     assert "did you mean" in plot_of(FIXTURES / "lego.mcap", "TRANSFORM/Stylus")["problem"]
-    assert plot_of(tmp_path / "none.mcap")["problem"] and plots._shown(math.nan) is None
+    assert plot_of(tmp_path / "none.mcap")["problem"] and shown([math.nan]) == [None]
     first: dict[str, Any] = plot_of(FIXTURES / "lego.mcap")
     assert first["stream"] == "/lego/joint_states" and usual_field(first["fields"]).startswith("position.")
 

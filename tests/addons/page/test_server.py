@@ -35,6 +35,9 @@ class Fake:
     def places(self, name: str) -> dict[str, Any] | None:
         return None
 
+    def curve(self, side: str, stream: str, field: str) -> dict[str, Any] | None:
+        return None
+
     def lines(self, job: int) -> list[str]:
         return []
 

@@ -18,6 +18,8 @@ from tests.addons.view.conftest import read_back
 from tests.places import FIXTURES
 from tests.tables import table
 
+_JOINTS = tuple(f"PSM1_{joint}" for joint in ("yaw", "pitch", "insertion", "roll", "wrist_pitch", "wrist_yaw"))
+
 
 @table(
     ("name", "word", "curves"),
@@ -25,7 +27,7 @@ from tests.tables import table
         ("star", "TRANSFORM/ToolToBase.x_mm", ["x_mm"]),
         ("star", "/igtl/in/PlanPoints/landmarks.points[0].position.x_m", ["points.0.position.x_m"]),
         ("star", "/igtl/in/PlanPoints/landmarks.points.1.position.z_m", ["points.1.position.z_m"]),
-        ("crtk", "/PSM1/measured_js.position", [f"position.{number}" for number in range(6)]),
+        ("crtk", "/PSM1/measured_js.position", [f"position.{joint}" for joint in _JOINTS]),
         ("crtk", "/PSM1/measured_js.position[2]", ["position.2"]),
         ("crtk", "/PSM1/measured_cp.pose.position.x_m", ["pose.position.x_m"]),
     ],

@@ -304,10 +304,10 @@ function sparkColumn() {
 const TO = { igtl: (place) => `, at ${place}`, ros: () => ", to ROS 2", both: (place) => `, at ${place} and to ROS 2` };
 let links, streams;
 function drawNow() {
-  const at = places($("now"), "lead", "links", "streams", "pictures", "notes"), now = bridge();
+  const at = places($("now"), "lead", "links", "streams", "plot", "pictures", "notes"), now = bridge();
   if (!now) {
     for (const each of Object.values(at)) part(each, null, () => []);
-    links = streams = null;
+    links = streams = null; at.plot._open = null;
     part(at.lead, [state.has_bridge, state.answers], () => h("div.card", null, h("p.empty", null, state.has_bridge
       ? (state.answers ? "The bridge has no session: another node configures and activates it." : "The bridge does not answer. It may have stopped.")
       : "This page shows a folder of recordings. For links and streams, start a bridge with --page.")));
@@ -342,6 +342,7 @@ function drawNow() {
   links.element.hidden = !now.links.length; at.links._nothing.hidden = Boolean(now.links.length);
   streams.element.hidden = !now.streams.length; at.streams._nothing.hidden = Boolean(now.streams.length);
   put(at.streams._more, now.more ? `${number(now.more)} more are not shown` : now.unsent ? `${count(now.unsent, "topic")} for ROS not shown: ${now.relay ? "a relay has no ROS" : "start without --no-ros to publish them"}` : "what is wrong is on top");
+  drawCurve(at.plot, now.streams);
   drawPictures(at.pictures, now.pictures);
   part(at.notes, now.notes, () => card("Notes of the session", null, now.notes.length ? h("ul.notes", { tabindex: 0, "aria-label": "Notes" }, [...now.notes].reverse().map(note)) : h("p.empty", null, "No notes yet.")));
 }
@@ -373,6 +374,67 @@ function gapCell() {
     put(gap, row.gap_s == null ? NONE : is_long ? span(row.gap_s) : "≤ 1 s"); put(when, is_long && row.gap_utc_ns ? `until ${time(row.gap_utc_ns)}` : "");
     td.classList.toggle("zero", !is_long);
   } };
+}
+/* The plot of a stream that arrives: null before a person asks for it, then what the program has of the last minute. */
+let curve = null, curveBusy = false;
+async function readCurve() {
+  if (!curve || curveBusy || view !== "now" || document.hidden || isLost) return;
+  curveBusy = true;
+  const [side, stream, field] = curve.asked;
+  try {
+    const found = await (await get(`/api/curve?side=${side}&stream=${encodeURIComponent(stream)}&field=${encodeURIComponent(field)}`)).json();
+    if (curve && curve.asked[0] === side && curve.asked[1] === stream && curve.asked[2] === field) {
+      curve.found = found;
+      if (found.times.length > 9) curve.asked[2] = found.field;  // the one that changed stays
+    }
+  } catch { /* the banner says it */ }
+  curveBusy = false;
+  if (state && curve) drawNow();
+}
+setInterval(readCurve, 500);
+function askCurve(key, field) {
+  const [side, ...name] = key.split(" ");
+  const found = curve && curve.key === key ? curve.found : null;
+  curve = { key, asked: [side, name.join(" "), field], found };
+  readCurve(); drawNow();
+}
+/* The input that comes most often and has numbers as a rule. */
+function usualStream(rows) {
+  const coming = rows.filter((row) => row.rate_hz && !/^(IMAGE|VIDEO|POLYDATA|STRING|STATUS)|(Image|PointCloud2|Volume|String)$/.test(row.type)).sort((a, b) => b.rate_hz - a.rate_hz);
+  return (coming.find((row) => row.side.endsWith("_in")) || coming[0] || rows[0]).key;
+}
+function drawCurve(at, rows) {
+  const known = rows.filter((row) => !row.key.startsWith("missing ")), found = curve?.found;
+  const names = known.map((row) => [row.key, `${row.name} (${[row.type.split("/").pop().replace(/,$/, ""), row.way].filter(Boolean).join(" ")})`]).sort((a, b) => a[1].localeCompare(b[1]));
+  if (!curve) {
+    at._open = null;
+    part(at, ["closed", Boolean(names.length)], () => (names.length ? card("Plot", null, h("div.body", null, h("div.actions", null, h("button.btn", { type: "button", "data-key": "curve", onclick: () => askCurve(usualStream(known), "") }, "Plot a number as it comes"), h("span.sub", null, "any number of any stream, by its name")))) : []));
+    return;
+  }
+  if (!at._open) {
+    at._open = [h("div"), h("div")]; at._shown = "";
+    html(at, h("div.card", null, h("div.head", null, h("h2", null, "Plot"), h("span.more", null, "up to 20 messages a second")), h("div.body", null, at._open)));
+  }
+  const [form, box] = at._open, field = found?.field || curve.asked[2], fields = found?.fields || [];
+  if (!names.some(([key]) => key === curve.key)) names.push([curve.key, curve.asked[1]]);
+  part(form, [names, curve.key, fields, field], () => h("div.form.fields", null, choice("Stream", "curve stream", names, curve.key, (each) => askCurve(each, "")),
+    choice("Number", "curve field", fields.map((each) => [each, each]), field, (each) => askCurve(curve.key, each)),
+    h("div.actions", null, h("button.btn", { type: "button", "data-key": "curve close", onclick: () => { curve = null; drawNow(); } }, "Close"))));
+  const times = found?.times || [], values = found?.values || [];
+  part(box, [times, values, field, found?.problem, Boolean(found)], () => [found?.problem ? h("p.sends.s-warning", null, sentence(found.problem)) : null,
+    plotBox(times.map((each) => each + (found?.span_s || 0)), values, found?.span_s, `${field} of ${curve.asked[1]}`, [`${found?.span_s} s ago`, field, "now"])
+    || h("p.empty", null, !found ? "Reading …" : fields.length ? "No number has come in the last minute." : times.length ? "This stream has no numbers." : "Waiting for its next message.")]);
+}
+function choice(title, key, all, now, change, off) {
+  return h("label.field", null, h("span", null, title), h("select", { "data-key": key, disabled: off ? true : null, onchange: (event) => change(event.target.value) }, all.map(([value, text]) => h("option", { value, selected: value === now }, text))));
+}
+/* A plot of numbers over seconds from 0 to `duration`, with what is below it; null without numbers. */
+function plotBox(times, values, duration, name, below) {
+  const known = values.filter((each) => each != null), low = Math.min(...known), high = Math.max(...known);
+  if (!known.length) return null;
+  return h("div.plot", { role: "img", "aria-label": `${name}: ${short(low)} to ${short(high)}` }, h("span.high", null, short(high)), high > low && h("span.low", null, short(low)),
+    svg("svg", { viewBox: "0 0 1000 220", preserveAspectRatio: "none", "aria-hidden": "true" }, svg("path", { class: "curve", d: plotLine(times, values, duration, low, high) }), svg("path", { class: "now", d: "" })),
+    h("div.times", null, below.map((each) => h("span", null, each))));
 }
 function drawPictures(at, pictures) {
   const names = pictures.map(([side, stream]) => [side, stream]);
@@ -633,15 +695,12 @@ function drawPlot(at, row, duration, position) {
   const mine = plotted === row.name ? plot : null, busy = plotBusy && plotted === row.name;
   part(at, [row.name, mine && [mine.stream, mine.field, mine.streams, mine.problem, mine.times?.length], busy, duration], () => {
     if (!mine) return card("Plot", null, h("div.body", null, busy ? [h("p.wait", null, "The numbers are being read."), bar("Reading", NaN)] : h("div.actions", null, h("button.btn", { type: "button", "data-key": "plot", disabled: row.recording ? true : null, onclick: () => readPlot("", "") }, "Plot a number over time"), h("span.sub", null, "any number of any stream, by its name"))));
-    const values = mine.values || [], known = values.filter((each) => each != null), low = Math.min(...known), high = Math.max(...known);
-    const select = (title, key, all, now, change) => h("label.field", null, h("span", null, title), h("select", { "data-key": key, disabled: busy ? true : null, onchange: (event) => change(event.target.value) }, all.map((each) => h("option", { value: each, selected: each === now }, each))));
+    const same = (all) => (all || []).map((each) => [each, each]);
     return card("Plot", mine.every > 1 ? `one in ${number(mine.every)} of ${count(mine.messages, "message")}` : mine.messages ? count(mine.messages, "message") : null, h("div.body", null,
-      h("div.form.fields", null, select("Stream", "plot stream", mine.streams || [], mine.stream, (each) => readPlot(each, "")), select("Number", "plot field", mine.fields || [], mine.field, (each) => readPlot(mine.stream, each))),
+      h("div.form.fields", null, choice("Stream", "plot stream", same(mine.streams), mine.stream, (each) => readPlot(each, ""), busy), choice("Number", "plot field", same(mine.fields), mine.field, (each) => readPlot(mine.stream, each), busy)),
       busy ? bar("Reading", NaN) : null,
       mine.problem ? h("p.sends.s-warning", null, sentence(mine.problem)) : null,
-      known.length ? h("div.plot", { role: "img", "aria-label": `${mine.field} of ${mine.stream}: ${short(low)} to ${short(high)}` }, h("span.high", null, short(high)), h("span.low", null, short(low)),
-        svg("svg", { viewBox: "0 0 1000 220", preserveAspectRatio: "none", "aria-hidden": "true" }, svg("path", { class: "curve", d: plotLine(mine.times, values, duration, low, high) }), svg("path", { class: "now", d: "" })),
-        h("div.times", null, h("span", null, moment(0)), h("span", null, mine.field), h("span", null, moment(duration)))) : h("p.empty", null, busy ? "Reading …" : "This stream has no numbers.")));
+      plotBox(mine.times || [], mine.values || [], duration, `${mine.field} of ${mine.stream}`, [moment(0), mine.field, moment(duration)]) || h("p.empty", null, busy ? "Reading …" : "This stream has no numbers.")));
   });
   at.querySelector(".plot .now")?.setAttribute("d", `M${(position / duration * 1000).toFixed(1)} 0V220`);
 }
