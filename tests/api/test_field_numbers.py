@@ -74,7 +74,10 @@ def test_tables_have_the_same_numbers() -> None:
             for field in table.schema:
                 is_number = pa.types.is_integer(field.type) or pa.types.is_floating(field.type)
                 if is_number and field.name not in (*HEAD, "link") and field.name in found:
-                    assert _cells(found[field.name].tolist()) == _cells(table[field.name].to_pylist()), (key, field.name)
+                    assert _cells(found[field.name].tolist()) == _cells(table[field.name].to_pylist()), (
+                        key,
+                        field.name,
+                    )
                     compared += 1
     assert compared > 200
 

@@ -84,14 +84,15 @@ class Curves:
 
         Returns:
             ``fields``: the names of all; ``field``; ``times``: of the messages, s, negative: before now; ``values``:
-            of the field in each, None where a message has none; ``span_s``: what is shown, s; ``problem``: why there is none.
+            of the field in each, None where a message has none; ``span_s``: what is shown, s; ``problem``: why.
         """
         with self._lock:
             found = self._take(side, stream)
             curve = self._curves.pop((side, stream), None) or _Curve()
             self._curves[side, stream] = curve
             keep_newest(self._curves, MAX_STREAMS)
-            curve.problem, curve.now_ns = str(found.get("problem", "")), int(found.get("now_ns", curve.now_ns))
+            curve.problem = str(found.get("problem", ""))
+            curve.now_ns = int(found.get("now_ns", curve.now_ns))
             for at_ns, data in found["messages"]:
                 self._add(curve, side, found, int(at_ns), base64.b64decode(data))
             problem = {"problem": curve.problem} if curve.problem else {}

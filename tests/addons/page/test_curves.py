@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -70,34 +71,25 @@ def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         read = found.read("igtl_in", f"TRANSFORM/{number}", "")
     assert read["values"] == [4.0, 5.0, 6.0, 7.0, 8.0] and len(found._curves) == live_numbers.MAX_STREAMS
 
-    class Bridge:
-        def show(self, *_: object) -> None: ...
-
-        class hub:
-            now_ns = staticmethod(time.time_ns)
-
-        class gateway:
-            class config:
-                check_crc = True
-
-            class ledger:
-                totals = staticmethod(dict[str, dict[str, int]])
-
-    numbers, bridge = LiveNumbers({}), Bridge()
+    gateway = SimpleNamespace(
+        config=SimpleNamespace(check_crc=True), ledger=SimpleNamespace(totals=dict[str, dict[str, int]])
+    )
+    bridge: Any = SimpleNamespace(hub=SimpleNamespace(now_ns=time.time_ns), gateway=gateway, show=lambda *_: None)
+    numbers = LiveNumbers({})
     monkeypatch.setattr(live_numbers, "_EVERY_NS", 0)
     monkeypatch.setattr(LiveNumbers, "_run", lambda _: None)
     for number in range(9):
-        numbers.take(bridge, "ros_in", f"/{number}")  # type: ignore[arg-type]
+        numbers.take(bridge, "ros_in", f"/{number}")
     assert list(numbers._looks) == [("ros_in", f"/{number}") for number in range(5, 9)]
     for number in range(999):
         entry = Entry(number, number, Kind.ROS_IN, "/8", "std_msgs/msg/String", (b"x",), (), 0)
         if copy := numbers(entry):
             copy()
     assert numbers(Entry(1, 1, Kind.ROS_IN, "/7", "x", (bytes(live_numbers._MAX_BYTES + 1),), (), 0)) is None
-    kept = numbers.take(bridge, "ros_in", "/8")["messages"]  # type: ignore[arg-type]
+    kept = numbers.take(bridge, "ros_in", "/8")["messages"]
     assert len(kept) == live_numbers._MAX_MESSAGES and kept[-1][0] == 998
-    assert "8 MiB" in numbers.take(bridge, "ros_in", "/7")["problem"]  # type: ignore[arg-type]
-    assert "no numbers" in numbers.take(bridge, "note", "x")["problem"]  # type: ignore[arg-type]
+    assert "8 MiB" in numbers.take(bridge, "ros_in", "/7")["problem"]
+    assert "no numbers" in numbers.take(bridge, "note", "x")["problem"]
 
 
 @contextmanager
