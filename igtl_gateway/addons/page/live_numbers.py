@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 #: Time between two messages of a stream that are kept, and how long after the last request, ns.
 _EVERY_NS, _LOOKED_NS = NS_PER_S // 20, 3 * NS_PER_S
-#: A message is kept up to this many bytes; in a second so many at most.
+#: A message is kept up to the first number of bytes, and in a second up to the other one.
 _MAX_BYTES, _BYTES_PER_S = 8 << 20, 4 << 20
 #: Streams at a time, messages of each, and links with a unit of their own.
 MAX_STREAMS, _MAX_MESSAGES, _MAX_LINKS = 4, 64, 1_000

@@ -283,7 +283,7 @@ class PassageStreams:
             self._removed.append(old)
 
     def keys_with(self, kind: Kind, channel: str) -> list[Key]:
-        """Return the streams whose messages, or what is made of them, are entries of a kind and channel."""
+        """Return the streams whose messages, or the results of them, are entries of a kind and channel."""
         return [key for key, copy in list(self._copies.items()) if _has(copy, kind, channel)]
 
     def pass_once(self, keys: Sequence[Key]) -> None:

@@ -160,7 +160,7 @@ def test_a_running_bridge_has_the_numbers_of_what_arrives(native: bool, tmp_path
         numbers._looks = {}  # as some seconds after the last browser
         wait(lambda: not numbers._runs)
         send(20)
-        assert (send(200) < 20) is native, f"{looked} while somebody looked"
+        assert (send(200) < 20) is native, f"{looked} while a browser looked"
     assert igtl_gateway.verify(tmp_path / "a.mcap").good
 
 
