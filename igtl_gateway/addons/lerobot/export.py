@@ -66,7 +66,11 @@ def here(jobs: Sequence[Job]) -> Iterator[tuple[int, Reply]]:
     for number, job in enumerate(jobs):
         try:
             yield number, Reply(run_job(job.to_dict()))
-        except (GatewayError, OSError) as error:
+        except OSError as error:
+            # a part that cannot be written is a matter of the set, a recording that cannot be read one of the session
+            text = str(error.strerror or error).removeprefix(f"{job.path}: ")
+            yield number, Reply({}, GatewayError(f"{job.path}: {text}") if job.kind == DESCRIBE else error)
+        except GatewayError as error:
             yield number, Reply({}, error)
 
 

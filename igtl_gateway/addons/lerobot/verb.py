@@ -108,7 +108,8 @@ def export_set(options: argparse.Namespace, files: Sequence[Path], do: Runner | 
         raise write_error(options.output, error) from None
     except GatewayError as error:
         text = str(error)
-        known = str(options.recipe), *map(str, files), str(options.output), "cannot write"
+        places = [str(place) for file in files for place in (file, file.absolute())]
+        known = str(options.recipe), *places, str(options.output), "cannot write"
         raise type(error)(text if text.startswith(known) else f"{options.recipe}: {text}") from None
     if len(files) == 1:
         _print_one(options, files[0], done)

@@ -230,6 +230,8 @@ def test_sessions_that_cannot_be_in_one_set(study: Path, tmp_path: Path, capsys:
     assert "found 1 sessions or patients for 2 splits" in text_of(one, two, more=patients)
     other = write_session(tmp_path / "x.mcap", messages(30.0))
     assert "found the session 'x', expected a name like '{patient}_*'" in text_of(one, other, more=patients)
+    assert main(["export", str(one), str(tmp_path / "no.mcap"), *words]) == 1
+    assert "1 of 2 sessions do not fit: no.mcap: No such file" in capsys.readouterr().err
     assert main(["export", str(one), str(two), "--to", "csv", "-o", str(tmp_path / "csv")]) == 2
     assert "found 2 recordings, expected one" in capsys.readouterr().err
 
