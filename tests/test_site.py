@@ -167,6 +167,7 @@ QUERIES = {
     "disk full": "how-to/keeping",
     "delete old": "how-to/keeping",
     "upload s3": "how-to/keeping",
+    "share a recording with a colleague": "how-to/deidentify",
     "anonymize": "how-to/deidentify",
     "patient name": "how-to/deidentify",
     "docker": "how-to/deploy",
