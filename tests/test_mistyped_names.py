@@ -256,7 +256,7 @@ def test_a_field_of_a_trigger_that_no_message_has_is_reported_once(field: str, w
     assert all(why in note.text and field in note.text for note in notes)
 
 
-@table(("values", "why"), [((), ""), ((1.0,), "'position' has 1 values"), ((1.0, 2.0, 3.0), "")])
+@table(("values", "why"), [((), ""), ((1.0,), "'position' has 1 value"), ((1.0, 2.0, 3.0), "")])
 def test_an_index_of_a_trigger_beyond_the_values_is_reported(values: tuple[float, ...], why: str) -> None:
     notes: list[Note] = []
     triggers = Triggers([trigger("value=/j,field=position[2],above=5")], RosTypes(), on_note=notes.append)

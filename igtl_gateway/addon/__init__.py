@@ -59,6 +59,8 @@ if TYPE_CHECKING:
     from igtl_gateway.base.near import did_you_mean as did_you_mean
     from igtl_gateway.base.near import near_names as near_names
     from igtl_gateway.base.near import near_streams as near_streams
+    from igtl_gateway.base.near import one_of as one_of
+    from igtl_gateway.base.near import streams_expected as streams_expected
     from igtl_gateway.base.near import unmatched as unmatched
     from igtl_gateway.base.near import without_match as without_match
     from igtl_gateway.base.stamp import NS_PER_MS as NS_PER_MS
@@ -92,7 +94,7 @@ HOMES: Homes = (
     ("base.globs", "matches"),
     ("base.free_names", "FreeNames"),
     ("base.distinct", "distinct_names"),
-    ("base.near", "did_you_mean near_names near_streams unmatched without_match"),
+    ("base.near", "did_you_mean near_names near_streams one_of streams_expected unmatched without_match"),
     # This version, and what Python 3.10 does not have
     ("base.version", "__version__"),
     ("base.versions", "Self StrEnum iso_time limit_values python_command read_blob"),

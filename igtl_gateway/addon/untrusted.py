@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from igtl_gateway.base.untrusted.elements import ElementCounter as ElementCounter
     from igtl_gateway.base.untrusted.files import deadline_of as deadline_of
     from igtl_gateway.base.untrusted.files import is_same as is_same
+    from igtl_gateway.base.untrusted.files import near_file as near_file
     from igtl_gateway.base.untrusted.files import open_file as open_file
     from igtl_gateway.base.untrusted.files import read_bytes as read_bytes
     from igtl_gateway.base.untrusted.files import size_of as size_of
@@ -44,7 +45,7 @@ __all__ = ["code_size", "ros_definitions"]
 HOMES: Homes = (
     # Files and their limits
     ("base.untrusted", "cpu_time files limits"),
-    ("base.untrusted.files", "deadline_of is_same open_file read_bytes size_of stored_bytes"),
+    ("base.untrusted.files", "deadline_of is_same near_file open_file read_bytes size_of stored_bytes"),
     ("base.untrusted.limits", "Deadline check_limit"),
     ("base.untrusted", "unpack"),
     # Text and tables

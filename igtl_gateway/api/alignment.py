@@ -15,6 +15,7 @@ from igtl_gateway.api.moments import tolerance_ns
 from igtl_gateway.api.poses import Poses, between_poses
 from igtl_gateway.api.stream import Stream, to_frame
 from igtl_gateway.base.errors import ClockWarning, ConfigError
+from igtl_gateway.base.near import one_of
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.joining import NEAR_NS, pick
 from igtl_gateway.gateway.log.one_clock import GATEWAY, one_clock
@@ -83,7 +84,7 @@ class Aligned:
 
     def __getitem__(self, key: str) -> Match:
         if key not in self.matches:
-            raise KeyError(f"found {key!r}, expected one of {', '.join(self.matches)}")
+            raise KeyError(f"found {key!r}, expected {one_of(key, self.matches)}")
         return self.matches[key]
 
     def poses(self, key: str) -> Poses:
@@ -171,7 +172,7 @@ def align(
         ("missing", missing, ("nan", "drop")),
     ):
         if value not in expected:
-            raise ConfigError(f"{name}: found {value!r}, expected {' or '.join(map(repr, expected))}")
+            raise ConfigError(f"{name}: found {value!r}, expected {one_of(str(value), expected)}")
     most = tolerance_ns(tolerance)
     by_key: dict[str, Stream] = {}
     for stream in (*streams, *(() if isinstance(on, str) else (on,))):
@@ -180,7 +181,7 @@ def align(
         stream.check_sender()
     key = on if isinstance(on, str) else on.key
     if key not in by_key:
-        raise ConfigError(f"on: found {key!r}, expected one of {', '.join(by_key)}")
+        raise ConfigError(f"on: found {key!r}, expected {one_of(key, by_key)}")
     every = [each.stream_times for each in by_key.values()]
     chosen = one_clock(every, clock)
     if chosen.notes:

@@ -17,6 +17,7 @@ from rosbags.typesys.base import normalize_fieldname
 from rosbags.typesys.store import Typestore
 
 from igtl_gateway.base.errors import ConversionError, LimitExceeded
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted import limits
 from igtl_gateway.convert.context import ToRosContext
@@ -233,7 +234,7 @@ def table_rows(fields: Mapping[str, Any], size: int = 0) -> Iterator[Cells]:
     count = max(len(fields[name]) for name in lists)
     repeated = sum(len(value) if isinstance(value, str) else 1 for value in rest.values())
     try:
-        limits.check_unpacked(size, count * repeated, f"{count} rows")
+        limits.check_unpacked(size, count * repeated, counted(count, "row"))
     except LimitExceeded as error:
         raise TooLong(str(error)) from None
     for index in range(count):

@@ -24,6 +24,7 @@ from igtl_gateway.base.buffers import Buffer, join, total_size
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import ConfigError, LinkClosed, NoReply, Refused, WireError
 from igtl_gateway.base.globs import matches
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.convert.commands import failure_text, reply_result
 from igtl_gateway.convert.igtl_msgs import CommandReply as RosReply
@@ -404,9 +405,11 @@ class Conversation:
             if to is not None or not self._up:
                 self._raise_if_ended()
                 wanted = "an open connection" if to is None else f"connection {to}"
-                raise LinkClosed(f"{self.place}: found {len(self._up)} other connections, expected {wanted}")
+                raise LinkClosed(f"{self.place}: found {counted(len(self._up), 'other connection')}, expected {wanted}")
             if len(self._up) > 1:
-                raise ConfigError(f"{self.place}: found {len(self._up)} connections, expected to=… to choose one")
+                raise ConfigError(
+                    f"{self.place}: found {counted(len(self._up), 'connection')}, expected to=… to choose one"
+                )
             return next(iter(self._up))
 
     # ── queries and commands ──────────────────────────────────────────────────────────────────────────────────

@@ -13,6 +13,7 @@ from igtl_gateway.api.display import as_array, html_line, shape_text
 from igtl_gateway.api.placement import ImagePlacement
 from igtl_gateway.api.source import Source
 from igtl_gateway.base.errors import ConfigError, MalformedBody
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.convert.igtl_msgs import Volume
 from igtl_gateway.convert.images import pixel_layout
 from igtl_gateway.convert.rosmsg import Image as RosImage
@@ -70,7 +71,7 @@ class ImageView:
             ConfigError: there are several slices.
         """
         if self.array.shape[0] != 1:
-            raise ConfigError(f"plane: found {self.array.shape[0]} slices, expected 1")
+            raise ConfigError(f"plane: found {counted(self.array.shape[0], 'slice')}, expected 1")
         plane: Array = self.array[0]
         return plane
 
@@ -164,7 +165,11 @@ def _ros_image(image: RosImage, unit: str, time: int, source_time: int) -> Image
     row = image.width * components * dtype.itemsize
     data = np.frombuffer(image.data, np.uint8)
     if image.step < row or len(data) < image.step * image.height:
-        raise MalformedBody("sensor_msgs/Image", f"{len(data)} bytes", f"{image.height} rows of {image.step} bytes")
+        raise MalformedBody(
+            "sensor_msgs/Image",
+            counted(len(data), "byte"),
+            f"{counted(image.height, 'row')} of {counted(image.step, 'byte')}",
+        )
     # rows with padding: numpy takes strides for a whole buffer only
     array: Array = np.ndarray(
         (1, image.height, image.width, components),
@@ -179,7 +184,7 @@ def _ros_image(image: RosImage, unit: str, time: int, source_time: int) -> Image
 def _pixels(data: Any, dtype: np.dtype[Any], shape: tuple[int, ...]) -> Array:
     found, expected = memoryview(data).nbytes, int(np.prod(shape)) * dtype.itemsize
     if found != expected:
-        raise MalformedBody("igtl_msgs/Volume", f"{found} bytes of pixels", f"{expected} bytes")
+        raise MalformedBody("igtl_msgs/Volume", f"{counted(found, 'byte')} of pixels", counted(expected, "byte"))
     return np.frombuffer(data, dtype).reshape(shape)
 
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from igtl_gateway.api.display import as_array, html_table
 from igtl_gateway.api.igtl_columns import quaternions_of, rotations
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.near import one_of
 from igtl_gateway.convert.units import UNITS, LengthUnits
 
 Array = npt.NDArray[Any]
@@ -116,7 +117,7 @@ def ratio(unit: str, wanted: str) -> tuple[int, int]:
     """Return numerator and denominator that convert lengths.  Raises ConfigError for an unknown unit."""
     for name in (unit, wanted):
         if name not in UNITS:
-            raise ConfigError(f"unit: found {name!r}, expected one of {', '.join(UNITS)}")
+            raise ConfigError(f"unit: found {name!r}, expected {one_of(name, UNITS)}")
     return LengthUnits(wanted, unit).ratio_to_ros
 
 

@@ -14,6 +14,7 @@ from igtl_gateway.api.igtl_columns import POSE_TYPES, pose_rows
 from igtl_gateway.api.poses import Poses, matrices_of
 from igtl_gateway.api.source import Source
 from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.convert.names import frames_of
 from igtl_gateway.gateway.log.entry import Kind
@@ -51,7 +52,7 @@ def read_poses(source: Source, channel: ChannelSummary, unit: str, blocks: Itera
     left_out = sum(each[6] for each in parts)
     if left_out and not len(times):
         raise ConfigError(
-            f"{channel.stream}: found {channel.entry_type} without a pose in any of {left_out:,} messages"
+            f"{channel.stream}: found {channel.entry_type} without a pose in any of {count_text(left_out, 'message')}"
         )
     return Poses(
         matrices,

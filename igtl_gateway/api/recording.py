@@ -22,7 +22,8 @@ from igtl_gateway.api.source import Source
 from igtl_gateway.api.stream import STREAM_HEAD, Stream, narrowed
 from igtl_gateway.api.transforms import TransformTree
 from igtl_gateway.base.errors import BeingRecorded, ConfigError, DamagedRecording, UnsupportedRecording
-from igtl_gateway.base.near import did_you_mean, near_names
+from igtl_gateway.base.near import did_you_mean, near_names, one_of
+from igtl_gateway.base.quantities import by_count, count_text, counted
 from igtl_gateway.base.untrusted import files
 from igtl_gateway.base.untrusted import limits as file_limits
 from igtl_gateway.base.untrusted.limits import FileLimits
@@ -110,7 +111,10 @@ class Recording(Mapping[str, Stream]):
         if self._source.state.closed:
             return f"<Recording {self.path!r}: closed>"
         part = "" if self.is_whole else f" from {self._seconds(self.start_time)} s to {self._seconds(self.end_time)} s"
-        return f"<Recording {self.path!r}{part}: {self.entry_count:,} entries, {len(self.streams)} streams>"
+        return (
+            f"<Recording {self.path!r}{part}: {count_text(self.entry_count, 'entry', 'entries')}, "
+            f"{counted(len(self.streams), 'stream')}>"
+        )
 
     def _repr_html_(self) -> str:
         if self._source.state.closed:
@@ -178,9 +182,8 @@ class Recording(Mapping[str, Stream]):
         name, at, link = key.rpartition("@")
         if at and (number := whole_number(link)) is not None:
             return self[name].of_link(number)
-        near = near_names(key, streams, 0.5) or [each for each in streams if key.lower() in each.lower()][:3]
-        expected = did_you_mean(near) or "recording.streams has the names"
-        raise KeyError(f"{self.path}: found no stream {key!r}; {expected}")
+        near = did_you_mean(near_names(key, streams, 0.5))
+        raise KeyError(f"{self.path}: found no stream {key!r}; {near and f'{near} '}recording.streams has the names")
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.streams)
@@ -322,11 +325,14 @@ def open(path: str | Path, *, limits: FileLimits | Mapping[str, int] | None = No
         raise
     whole = with_state(file)
     if count := _messages(whole) - _messages(file):
-        warnings.append(f"{path}: begins midway; its first {count:,} messages were latched before")
+        warnings.append(
+            f"{path}: begins midway; its first {count_text(count, 'message')} {by_count(count, 'was', 'were')} "
+            "latched before"
+        )
     file = whole
     if file.merge:
         warnings += [f"{path}: reported by {each}" for each in file.merge.reported]
-    warnings += [f"{each.topic} ({each.count:,} messages) is not read: {each.why}" for each in file.skipped]
+    warnings += [f"{each.topic} ({count_text(each.count, 'message')}) is not read: {each.why}" for each in file.skipped]
     return Recording(Source(file, bounds, file.start_ns, file.end_ns), str(path), tuple(warnings), resources)
 
 
@@ -366,7 +372,9 @@ def _limits(given: FileLimits | Mapping[str, int] | None) -> FileLimits:
     known = {each.name for each in fields(FileLimits)}
     for name, value in given.items():
         if name not in known or not isinstance(value, int) or value < 1:
-            raise ConfigError(f"limits: found {name!r}: {value!r}, expected numbers for {', '.join(sorted(known))}")
+            raise ConfigError(
+                f"limits: found {name!r}: {value!r}, expected numbers for {one_of(str(name), sorted(known))}"
+            )
     return replace(file_limits.current_limits(), **given)
 
 
@@ -398,7 +406,8 @@ def _salvaged(path: Path, resources: ExitStack, warnings: list[str]) -> SessionF
     for side in marks_files(path):
         write_bytes(folder / side.name, files.read_bytes(side))
     warnings.append(
-        f"{path}: was cut off after {report.size:,} bytes; {report.messages:,} messages are read, and it has no ledger "
+        f"{path}: was cut off after {count_text(report.size, 'byte')}; {count_text(report.messages, 'message')} "
+        f"{by_count(report.messages, 'is', 'are')} read, and it has no ledger "
         "of a finished session"
     )
     return resources.enter_context(SessionFile.open(copy))
@@ -418,7 +427,8 @@ def _salvaged_parts(path: Path, copy: Path, resources: ExitStack, warnings: list
                 raise
             report = copy_readable(part, place)
             warnings.append(
-                f"{part}: was cut off after {report.size:,} bytes; {report.messages:,} messages are read, and there is "
+                f"{part}: was cut off after {count_text(report.size, 'byte')}; "
+                f"{count_text(report.messages, 'message')} {by_count(report.messages, 'is', 'are')} read, and there is "
                 "no ledger of a finished session"
             )
             with SessionFile.open(place) as file:

@@ -18,6 +18,8 @@ from igtl_gateway.api.posing import tools_of, transforms_of
 from igtl_gateway.api.source import Source
 from igtl_gateway.api.stream import SeveralSenders, Stream
 from igtl_gateway.base.errors import ClockWarning, ConfigError, GatewayError
+from igtl_gateway.base.near import LISTED, one_of
+from igtl_gateway.base.quantities import count_text, counted
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.frames import frame_id
@@ -63,7 +65,7 @@ class Edge:
 
     def __repr__(self) -> str:
         static = ", static" if self.static else ""
-        return f"<Edge: {self.child} in {self.parent}, {len(self.times):,} poses of {self.stream}{static}>"
+        return f"<Edge: {self.child} in {self.parent}, {count_text(len(self.times), 'pose')} of {self.stream}{static}>"
 
     @property
     def stream_times(self) -> StreamTimes:
@@ -93,7 +95,10 @@ class TransformTree:
         self._clocks: dict[tuple[object, ...], OneClock] = {}
 
     def __repr__(self) -> str:
-        return f"<TransformTree: {len(self._edges)} pairs of {', '.join(self.frames) or 'no frames'}, {self.unit}>"
+        return (
+            f"<TransformTree: {counted(len(self._edges), 'pair')} of {', '.join(self.frames) or 'no frames'}, "
+            f"{self.unit}>"
+        )
 
     @classmethod
     def of(cls, source: Source, streams: Iterable[Stream]) -> TransformTree:
@@ -178,7 +183,7 @@ class TransformTree:
             ("clock", clock, ("gateway", "source")),
         ):
             if value not in expected:
-                raise ConfigError(f"{name}: found {value!r}, expected {' or '.join(map(repr, expected))}")
+                raise ConfigError(f"{name}: found {value!r}, expected {one_of(str(value), expected)}")
         wanted: Times | StreamTimes
         if isinstance(time, Stream):
             wanted = time.stream_times
@@ -220,8 +225,7 @@ class TransformTree:
         for name in (target, source):
             if name not in self._neighbours:
                 self._check_mixed(target, source)
-                known = ", ".join(self.frames[:10]) or "none"
-                raise ConfigError(f"frame: found {name!r}, expected one of the recording: {known}")
+                raise ConfigError(f"frame: found {name!r}, expected {one_of(name, sorted(self.frames), LISTED)}")
         found = self._way(target, source)
         if found is None:
             self._check_mixed(target, source)

@@ -10,6 +10,7 @@ from typing import Any
 from igtl_gateway.app.setting_values import config_of
 from igtl_gateway.base.addons import part_of
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.realtime import RealtimeOptions
 from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.config.configuration import Config
@@ -135,7 +136,7 @@ def bridge_options(
     listen, connect = addresses(values["listen"], values["connect"])
     if config.relay:
         if len(connect) != 1:
-            raise ConfigError(f"--relay: found {len(connect)} servers, expected one: --connect HOST:PORT")
+            raise ConfigError(f"--relay: found {counted(len(connect), 'server')}, expected one: --connect HOST:PORT")
         if config.mark_from:
             raise ConfigError("--mark-from: found --relay, expected one of them: a relay reads no messages")
         listen = listen or ((DEFAULT_HOST, DEFAULT_PORT),)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.record.sessionfile.columns import Unfit
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import LeafDecoder, Tolerance
@@ -39,7 +40,7 @@ class RecordingDiff:
     def __repr__(self) -> str:
         different = [stream.stream or stream.kind for stream in self.streams if not stream.equal]
         found = f"different: {', '.join(different)}" if different else "all equal"
-        return f"<RecordingDiff {self.one} {self.other}: {len(self.streams)} streams, {found}>"
+        return f"<RecordingDiff {self.one} {self.other}: {counted(len(self.streams), 'stream')}, {found}>"
 
     @property
     def equal(self) -> bool:

@@ -9,6 +9,7 @@ from typing import Any
 
 from igtl_gateway.app.player import PlaybackCounts
 from igtl_gateway.app.replay_plan import ReplayPlan
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.record.sessionfile.layout import NOTE_KINDS
 from igtl_gateway.record.sessionfile.reader import SessionFile
@@ -127,5 +128,5 @@ def account_lines(account: dict[str, Any]) -> list[str]:
     if not not_sent:
         return []
     made = f" and {account['made']:,} computed" if account["made"] else ""
-    head = f"not sent: {sum(not_sent.values()):,} of {account['recorded']:,} messages recorded{made}"
+    head = f"not sent: {sum(not_sent.values()):,} of {count_text(account['recorded'], 'message')} recorded{made}"
     return [head, *(f"  {number:>8,}  {REASONS[reason]}" for reason, number in not_sent.items())]

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.near import one_of
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.setting import Setting
 from igtl_gateway.config.settings import PROFILE_NAMES
@@ -74,14 +75,15 @@ def _kinds_row(text: str) -> tuple[str, list[str]]:
     named = [kind.strip() for kind in kinds.split(",")]
     wrong = [kind for kind in named if kind.removeprefix("+") not in known]
     if not device or not equals or wrong:
-        raise ConfigError(f"--kinds: found {text!r}, expected DEVICE=KIND[,KIND…] of {', '.join(sorted(known))}")
+        expected = one_of(next(iter(wrong), "").removeprefix("+"), sorted(known))
+        raise ConfigError(f"--kinds: found {text!r}, expected DEVICE=KIND[,KIND…] with {expected}")
     return device, named
 
 
 def _peer_row(text: str) -> dict[str, str]:
     place, _, profile = text.rpartition("=")
     if not place or profile not in PROFILE_NAMES:
-        raise ConfigError(f"--peer: found {text!r}, expected HOST:PORT=PROFILE, one of {', '.join(PROFILE_NAMES)}")
+        raise ConfigError(f"--peer: found {text!r}, expected HOST:PORT=PROFILE, {one_of(profile, PROFILE_NAMES)}")
     return {"at": place, "profile": profile}
 
 

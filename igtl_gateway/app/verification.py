@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.base.errors import GatewayError, UnsupportedRecording
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.systems.forks import can_fork, free_memory, in_processes
 from igtl_gateway.base.untrusted import cpu_time
 from igtl_gateway.base.version import __version__
@@ -98,7 +99,7 @@ class Verification:
 
     def __repr__(self) -> str:
         different = f", {self.differing:,} DIFFERENT" if self.differing else ""
-        return f"<Verification {self.file}: {self.equal:,} of {self.outputs:,} outputs equal{different}>"
+        return f"<Verification {self.file}: {self.equal:,} of {count_text(self.outputs, 'output')} equal{different}>"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as JSON values, as ``igtl-gateway verify --json`` prints it."""

@@ -3,17 +3,54 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from shlex import quote
 
 from igtl_gateway.base.globs import matches
 
 _MOST = 3
+#: Names that a message lists of a recording, which may have any number.
+LISTED = 12
+#: How much less like a word a further name may be than the nearest one.
+_MARGIN = 0.12
+#: Characters of the shortest word that is looked for inside of names.
+_LEAST_PART = 3
 
 
 def near_names(word: str, names: Iterable[str], likeness: float = 0.6) -> list[str]:
-    """Return at most three of the names, the nearest first; ``likeness``: from 0, anything, to 1, equal."""
-    from difflib import get_close_matches  # here: only mistakes need it
+    """Return at most three of the names, the nearest first; ``likeness``: from 0, anything, to 1, equal.
 
-    return get_close_matches(word, list(names), _MOST, likeness)
+    Of names that are not like the word, those that are with other capitals, and then those that contain it.
+    """
+    listed = list(names)
+    if found := _alike(word, listed, likeness):
+        return found
+    part, lower = word.lower(), {name.lower(): name for name in reversed(listed)}
+    found = [lower[name] for name in _alike(part, list(lower), likeness)]
+    if not found and len(part) >= _LEAST_PART:
+        found = [name for form, name in lower.items() if part in form][::-1][:_MOST]
+    return found
+
+
+def _alike(word: str, names: list[str], likeness: float) -> list[str]:
+    """Return the names that are like a word, without those that are much less like it than the first one."""
+    from difflib import SequenceMatcher, get_close_matches  # here: only mistakes need it
+
+    found = get_close_matches(word, names, _MOST, likeness)
+    shares = [SequenceMatcher(None, name, word).ratio() for name in found]
+    return [name for name, share in zip(found, shares, strict=True) if share > shares[0] - _MARGIN]
+
+
+def one_of(word: str, names: Iterable[str], most: int = 0) -> str:
+    """Return what is expected in place of a word that is none of the names: ``one of a, b; did you mean 'b'?``.
+
+    Args:
+        most: names that are listed; 0: all.
+    """
+    listed = list(names)
+    more = len(listed) - most if most else 0
+    shown = ", ".join(listed[:most] if more > 0 else listed) or "none"
+    question = did_you_mean(near_names(word, listed))
+    return f"one of {shown}" + (f" and {more:,} more" if more > 0 else "") + (f"; {question}" if question else "")
 
 
 def nearest_name(word: str, names: Iterable[str]) -> str:
@@ -57,6 +94,14 @@ def unmatched(glob: str, streams: Iterable[str], what: str = "recorded stream") 
     """Return the sentence about a glob that matches none of the streams."""
     question = did_you_mean(near_streams(glob, streams))
     return f"matches no {what}" + (f"; {question}" if question else "")
+
+
+def streams_expected(globs: Iterable[str], streams: Iterable[str], file: object = "FILE") -> str:
+    """Return what is expected in place of names or globs that are no recorded streams, and what lists these."""
+    names = sorted(streams)
+    question = did_you_mean(dict.fromkeys(near for glob in globs for near in near_streams(glob, names)))
+    listed = f"expected a recorded stream: igtl-gateway info {quote(str(file))} lists them"
+    return f"{listed}; {question}" if question else listed
 
 
 def did_you_mean(near: Iterable[str]) -> str:

@@ -22,6 +22,16 @@ def count_text(number: int, thing: str, things: str = "") -> str:
     return f"{number:,} {thing if number == 1 else things or thing + 's'}"
 
 
+def counted(number: int, thing: str, things: str = "") -> str:
+    """``1 byte``, ``1234 bytes``: of what a message or a file has, as its format counts it."""
+    return f"{number} {thing if number == 1 else things or thing + 's'}"
+
+
+def by_count(number: int, one: str, several: str) -> str:
+    """Return the word that goes with one of a thing, or with none or several: ``is`` and ``are``."""
+    return one if number == 1 else several
+
+
 def duration_text(ns: float) -> str:
     """``812 ns``, ``12.3 µs``, ``1.25 ms``, ``12.3 s``, ``4 min 5 s``, ``3 h 25 min``, ``331 days``, ``56 years``."""
     ns = abs(ns)

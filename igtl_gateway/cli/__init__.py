@@ -14,11 +14,13 @@ Of a verb whose 1 is a verdict (``Verb.failure``), a failure is 2, too.
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
 
 from igtl_gateway.base import extras
 from igtl_gateway.base.errors import (
@@ -34,6 +36,7 @@ from igtl_gateway.base.near import did_you_mean, near_names
 from igtl_gateway.base.systems import service
 from igtl_gateway.base.systems.signals import endings_interrupt
 from igtl_gateway.base.untrusted import cpu_time, limits
+from igtl_gateway.base.untrusted.files import near_file
 from igtl_gateway.cli.early_port import early_ports
 from igtl_gateway.cli.importing import folder_hint, import_hint, several_hint
 from igtl_gateway.cli.options import HelpFormatter, add_file_mode, add_limits_of_files, shorten_usage
@@ -160,7 +163,9 @@ def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **e
         discard_outputs()
         return failure
     except OSError as error:  # of a path that no reader checks: its name is too long, its directory is not accessible
-        return _print_error(options.verb, f"{error.filename}: {error.strerror}" if error.filename else error, USAGE)
+        near = near_file(Path(error.filename)) if error.filename and error.errno == errno.ENOENT else ""
+        found = f"{error.filename}: {error.strerror}{near}" if error.filename else error
+        return _print_error(options.verb, found, USAGE)
     except MemoryError:
         return _print_error(
             options.verb, "found too little memory for this file, expected more memory or a lower --limit", failure

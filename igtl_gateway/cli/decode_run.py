@@ -12,7 +12,7 @@ from pathlib import Path
 from igtl_gateway.base.addons import is_present, part_of
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import ConfigError, GatewayError, MessageTooLarge, WireError
-from igtl_gateway.base.quantities import count_text
+from igtl_gateway.base.quantities import count_text, counted
 from igtl_gateway.base.untrusted import cpu_time
 from igtl_gateway.base.untrusted.files import is_same
 from igtl_gateway.cli.terminal import print_json, print_line
@@ -86,7 +86,10 @@ def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target:
             raise ConfigError(f"{options.file}: found {found} at its start, expected OpenIGTLink bytes") from None
         raise GatewayError(f"offset {offset}: {error}") from None
     if framer.pending:
-        found = f"found {framer.pending} bytes of a message, expected a complete message: the stream ends inside it"
+        found = (
+            f"found {counted(framer.pending, 'byte')} of a message, expected a complete message: the stream ends "
+            f"inside it"
+        )
         print_line(f"igtl-gateway decode: offset {offset}: {found}", error=True)
     return 1 if damaged or framer.pending else 0
 

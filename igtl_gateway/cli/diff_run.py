@@ -7,7 +7,7 @@ import math
 
 from igtl_gateway.app.comparison import RecordingDiff, compare_recordings
 from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.base.quantities import count_text, duration_text, offset_text
+from igtl_gateway.base.quantities import by_count, count_text, duration_text, offset_text
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.replay.compare import Tolerance
 from igtl_gateway.replay.diff import StreamDiff
@@ -66,7 +66,14 @@ def _row(stream: StreamDiff, report: RecordingDiff) -> tuple[str, ...]:
 def _places(stream: StreamDiff) -> list[str]:
     """Where the first differences are."""
     lines = [str(stream.first)] if stream.first else []
-    lines += [f"{count_text(stream.restamped, 'stamp')} differ from the common offset"] if stream.restamped else []
+    lines += (
+        [
+            f"{count_text(stream.restamped, 'stamp')} {by_count(stream.restamped, 'differs', 'differ')} from the "
+            "common offset"
+        ]
+        if stream.restamped
+        else []
+    )
     if stream.within:
         at = f"at message {stream.mm_at or stream.deg_at}"
         lines.append(f"{stream.within:,} differ within the tolerance, most {at}")

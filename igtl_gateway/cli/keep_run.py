@@ -11,6 +11,7 @@ from igtl_gateway.base.addons import part_of
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError, RecordingError
 from igtl_gateway.base.quantities import count_text, size_text
+from igtl_gateway.base.untrusted.files import near_file
 from igtl_gateway.cli.keep_options import keep_options
 from igtl_gateway.cli.settings import values_with_effect
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
@@ -26,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
     if not (values["retention"] or values.get("upload")):
         raise ConfigError("found neither --retention nor --upload, expected one of them, or both")
     if not folder.is_dir():
-        raise RecordingError(f"{folder}: found no directory, expected one with recordings")
+        raise RecordingError(f"{folder}: found no directory, expected one with recordings{near_file(folder)}")
     code = part_of("upload", "keeping:upload")(folder, values) if values.get("upload") else 0
     return max(code, _retain(folder, values)) if values["retention"] else int(code)
 

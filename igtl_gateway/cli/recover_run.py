@@ -16,7 +16,7 @@ from igtl_gateway.base.errors import (
     LimitExceeded,
     UnsupportedRecording,
 )
-from igtl_gateway.base.quantities import count_text, size_text
+from igtl_gateway.base.quantities import by_count, count_text, size_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.files import is_same
 from igtl_gateway.base.untrusted.numbers import whole_number
@@ -196,7 +196,9 @@ def print_losses(report: SalvageReport) -> None:
     if more:
         print_line(f"  LOST in {count_text(more, 'more place')}")
     if report.missing:
-        print_line(f"  {count_text(report.missing, 'message')} of the index are unreadable")
+        print_line(
+            f"  {count_text(report.missing, 'message')} of the index {by_count(report.missing, 'is', 'are')} unreadable"
+        )
     elif report.missing is None and report.missing_numbers:
         missing = count_text(report.missing_numbers, "entry", "entries")
         print_line(f"  up to {missing}, by their numbers, are missing between others")

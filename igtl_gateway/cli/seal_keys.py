@@ -63,7 +63,7 @@ def _show(path: Path) -> None:
             print_line(f"{path}: public key {key_id(public)}")
     except ConfigError:
         key = SigningKey.load(path)
-        after = f", introduced by {len(key.introductions)} key(s) before it" if key.introductions else ""
+        after = f", introduced by {count_text(len(key.introductions), 'key')} before it" if key.introductions else ""
         print_line(f"{path}: private key {key.id}{after}")
 
 

@@ -21,7 +21,8 @@ from typing import Any, TextIO
 
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import OutputError
-from igtl_gateway.base.near import did_you_mean, near_names
+from igtl_gateway.base.near import did_you_mean, near_names, one_of
+from igtl_gateway.base.quantities import count_text, counted
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.systems.service import INFO, WARNING, is_journal
 from igtl_gateway.base.untrusted.numbers import whole_number
@@ -145,7 +146,7 @@ class LiveProgress:
             print_line(f"{PROGRESS}{share}", error=True, flush=True)
         elif self._is_shown:
             self._has_line = True
-            live_line(f"{share:>5} of {of:,} entries", error=True)
+            live_line(f"{share:>5} of {count_text(of, 'entry', 'entries')}", error=True)
 
     def end(self) -> None:
         """Take the live line away."""
@@ -215,7 +216,7 @@ class Parser(argparse.ArgumentParser):
         """Show only these options with ``--help``, and all with ``--help-all``."""
         options = [each for each in self._actions if each.option_strings and each.dest != "help"]
         self._rare = frozenset(each for each in options if common.isdisjoint(each.option_strings))
-        self.add_argument("--help-all", action=_HelpAll, nargs=0, help=f"show all {len(options)} options")
+        self.add_argument("--help-all", action=_HelpAll, nargs=0, help=f"show all {counted(len(options), 'option')}")
 
     def format_help(self, *, everything: bool = False) -> str:
         """Return the help; groups without an option to show are left out."""
@@ -263,6 +264,12 @@ class Parser(argparse.ArgumentParser):
         name = word.partition("=")[0]
         question = did_you_mean(near_names(name, self._option_string_actions)) if name.startswith("--") else ""
         return f"unrecognized arguments: {word}" + (f"; {question}" if question else "")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Refuse a word that is none of the choices, with the nearest one."""
+        if action.choices is not None and value not in action.choices:
+            expected = one_of(str(value), map(str, action.choices))
+            raise argparse.ArgumentError(action, f"invalid choice: {value!r}, expected {expected}")
 
     def error(self, message: str) -> Any:
         """Print the usage and what is wrong with the arguments, and end the program.

@@ -117,9 +117,9 @@ def _seal_lines(report: SealReport) -> Iterator[str]:
             yield f"          {found.text}"
     if report.state != SEALED:
         entry = f", up to entry {report.sealed_entry:,}" if report.sealed_entry >= 0 else ""
-        yield f"intact    the first {report.sealed_bytes:,} bytes{entry}"
+        yield f"intact    the first {count_text(report.sealed_bytes, 'byte')}{entry}"
     if report.state == CUT:
-        yield f"unsealed  the {report.unsealed_bytes:,} bytes behind them"
+        yield f"unsealed  the {count_text(report.unsealed_bytes, 'byte')} behind them"
     if stamp := report.time_stamp:
         if not stamp.checked:
             yield "time      there is a time stamp, which was not checked: give --tsa CERTS"

@@ -89,8 +89,9 @@ from typing import Any, TypeVar
 
 from igtl_gateway.base.errors import ConfigError, DamagedRecording, UnsupportedRecording
 from igtl_gateway.base.globs import MAX_LENGTH, matches
-from igtl_gateway.base.near import did_you_mean, near_names
+from igtl_gateway.base.near import did_you_mean, near_names, one_of
 from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.untrusted.files import read_bytes
 from igtl_gateway.base.untrusted.text import parse_toml
 from igtl_gateway.config.faults import RelayFaults
@@ -265,7 +266,7 @@ class Config:
         check_values(GATEWAY, GATEWAY, values)
         for place, glob in self._globs():
             if len(glob) > MAX_LENGTH:
-                found = f"a glob of {len(glob):,} characters, {glob[:40]}…"
+                found = f"a glob of {count_text(len(glob), 'character')}, {glob[:40]}…"
                 raise ConfigError(f"{place}: found {found}, expected at most {MAX_LENGTH:,}")
         if RelayFaults.parse(self.faults, "gateway.faults") and not self.relay:
             raise ConfigError(f"gateway.faults: found {self.faults!r}, expected relay = true with it")
@@ -294,7 +295,7 @@ class Config:
                 )
             if sent.type not in _SENT_TYPES and sent.type != "":
                 raise ConfigError(
-                    f"to_igtl[{index}].type: found {sent.type!r}, expected one of {', '.join(_SENT_TYPES)}"
+                    f"to_igtl[{index}].type: found {sent.type!r}, expected {one_of(sent.type, _SENT_TYPES)}"
                 )
         for index, row in enumerate(self.to_ros):
             if not (_is_topic(row.topic) and row.topic.startswith("/")):
@@ -566,7 +567,7 @@ def _check_choices(place: str, settings: object, *, optional: bool) -> None:
         if value is None:
             continue
         if value not in choices and not (optional and value == ""):
-            raise ConfigError(f"{place}.{name}: found {value!r}, expected one of {', '.join(choices)}")
+            raise ConfigError(f"{place}.{name}: found {value!r}, expected {one_of(str(value), choices)}")
 
 
 def _rows(place: str, rows: Any, kind: type[T]) -> tuple[T, ...]:

@@ -20,6 +20,8 @@ from hashlib import blake2b
 from typing import Generic, TypeVar
 
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.near import one_of
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.wire.header import CRC_AT
 
@@ -112,7 +114,7 @@ class Faults:
         for part in text.split(",") if text.strip() else []:
             name, equals, value = (word.strip() for word in part.partition("="))
             if name not in rows:
-                raise ConfigError(f"{place}: found {name!r}, expected NAME=VALUE, one of {', '.join(rows)}")
+                raise ConfigError(f"{place}: found {name!r}, expected NAME=VALUE, {one_of(name, rows)}")
             if name in seen:
                 raise ConfigError(f"{place}: found {name} twice, expected it once")
             seen.add(name)
@@ -266,7 +268,7 @@ class FaultLine(Generic[T]):
         self._number += 1
         self._first_ns = now_ns if self._first_ns is None else self._first_ns
         if self._is_hit(LOSS, self._faults.loss):
-            return [*left, Fate(message, now_ns, lost=True, done=((LOSS, f"{len(data)} bytes not sent"),))]
+            return [*left, Fate(message, now_ns, lost=True, done=((LOSS, f"{counted(len(data), 'byte')} not sent"),))]
         fate = self._apply_faults(message, data, now_ns)
         self._last_ns = fate.at_ns
         held = (fate, len(data))
@@ -281,7 +283,7 @@ class FaultLine(Generic[T]):
             self._waiting.append(held)
         left += self.due(now_ns)
         while self._waiting and self._held_bytes > self._most_bytes:
-            words = (EARLY, f"more than {self._most_bytes} bytes were stored")
+            words = (EARLY, f"more than {counted(self._most_bytes, 'byte')} were stored")
             left.append(self._at(self._release(), now_ns, words))
         return left
 

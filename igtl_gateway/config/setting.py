@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.base.near import did_you_mean, near_names
+from igtl_gateway.base.near import one_of
 
 #: Tables of a configuration file: what influences messages, which is recorded; the OpenIGTLink side; the host; closed
 #: recordings.
@@ -148,7 +148,7 @@ class Setting:
         if isinstance(value, int | float) and not self._is_in_range(value):
             raise ConfigError(f"found {value:.15g}, expected {self.range_text}")
         if self.choices and not self.reads and value not in self.choices:
-            raise ConfigError(f"found {value!r}, expected one of {', '.join(map(str, self.usual))}")
+            raise ConfigError(f"found {value!r}, expected {one_of(str(value), map(str, self.usual))}")
         if self.reads and value:
             for text in value if isinstance(value, tuple) else (value,):
                 self.reads(str(text))
@@ -184,9 +184,7 @@ def _number(text: str) -> int | float | str:
 
 def unknown(name: str, names: Iterable[str]) -> str:
     """The message about a name that no setting has."""
-    names = list(names)
-    question = did_you_mean(near_names(name, names))
-    return f"unknown setting, expected one of {', '.join(names)}" + (f"; {question}" if question else "")
+    return f"unknown setting, expected {one_of(name, names)}"
 
 
 def grouped(group: str, *rows: Setting) -> tuple[Setting, ...]:

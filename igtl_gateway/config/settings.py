@@ -16,6 +16,7 @@ from typing import Any
 
 from igtl_gateway.base.addons import ADDON_SETTINGS, check_setting, is_present, part_of
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.near import did_you_mean, near_names, one_of
 from igtl_gateway.config import notations, triggers
 from igtl_gateway.config.setting import (
     ARMS,
@@ -132,15 +133,18 @@ def parameters() -> dict[str, Setting]:
 def _ros_kind(text: str) -> str:
     """Return a kind of ROS messages, or ``+`` and a kind.  Raises ConfigError."""
     if text.removeprefix("+") not in KINDS:
-        raise ConfigError(f"found {text!r}, expected one of {', '.join(KINDS)}, also as +kind")
+        kind = text.removeprefix("+")
+        question = did_you_mean(near_names(kind, KINDS))
+        expected = f"one of {', '.join(KINDS)}, also as +kind{question and f'; {question}'}"
+        raise ConfigError(f"found {text!r}, expected {expected}")
     return text
 
 
 def _profile(text: str) -> str:
     """Return the profile of peers, or ``crtk`` with its arms.  Raises ConfigError."""
     if arms_of_profile(text) is None and text not in PROFILE_NAMES:
-        expected = ", ".join((*PROFILE_NAMES, PROFILE, f"{PROFILE}:/NAMESPACE"))
-        raise ConfigError(f"found {text!r}, expected one of {expected}")
+        expected = one_of(text, (*PROFILE_NAMES, PROFILE, f"{PROFILE}:/NAMESPACE"))
+        raise ConfigError(f"found {text!r}, expected {expected}")
     return text
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.globs import matches
-from igtl_gateway.base.near import did_you_mean, near_names
+from igtl_gateway.base.near import did_you_mean, near_names, one_of
 from igtl_gateway.config.note_codes import NOTE_CODES
 
 #: Longest window before and after a trigger, s.
@@ -76,10 +76,7 @@ class Trigger:
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
-            near = did_you_mean(near_names(self.kind, KINDS))
-            raise ConfigError(
-                f"kind: found {self.kind!r}, expected one of {', '.join(KINDS)}" + (f"; {near}" if near else "")
-            )
+            raise ConfigError(f"kind: found {self.kind!r}, expected {one_of(self.kind, KINDS)}")
         row = KINDS[self.kind]
         if not self.pattern:
             if not row.pattern:
@@ -119,7 +116,9 @@ def trigger(text: str) -> Trigger:
     for each in rest:
         name, equals, value = (part.strip() for part in each.partition("="))
         if not equals or name not in _NAMES[2:] or name in values:
-            raise ConfigError(f"found {each.strip()!r} in {text!r}, expected one each of {'=, '.join(_NAMES[2:])}=")
+            near = did_you_mean(near_names(name, _NAMES[2:])) if name not in _NAMES[2:] else ""
+            expected = f"one each of {'=, '.join(_NAMES[2:])}={near and f'; {near}'}"
+            raise ConfigError(f"found {each.strip()!r} in {text!r}, expected {expected}")
         values[name] = value if name == "field" else _number(name, value)
     return _of(values)
 
@@ -130,10 +129,7 @@ def text_of_table(table: Any, place: str) -> str:
         raise ConfigError(f"{place}: found {table!r}, expected a table [[trigger]]")
     for name, value in table.items():
         if name not in _NAMES:
-            near = did_you_mean(near_names(name, _NAMES))
-            raise ConfigError(
-                f"{place}.{name}: unknown setting, expected one of {', '.join(_NAMES)}" + (f"; {near}" if near else "")
-            )
+            raise ConfigError(f"{place}.{name}: unknown setting, expected {one_of(name, _NAMES)}")
         if name in _NUMBERS and (isinstance(value, bool) or not isinstance(value, int | float)):
             raise ConfigError(f"{place}.{name}: found {value!r}, expected a number")
         if name not in _NUMBERS and (not isinstance(value, str) or "," in value):

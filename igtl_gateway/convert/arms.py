@@ -8,6 +8,8 @@ from dataclasses import dataclass, fields
 
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.globs import matches
+from igtl_gateway.base.near import one_of
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.convert.choices import UNITS
 from igtl_gateway.convert.crtk import namespaces, row_of
 
@@ -58,7 +60,7 @@ class ArmsRow:
         if not self.arms.startswith(("/", "**")) or any(character.isspace() for character in self.arms):
             raise ConfigError(f"{place}.arms: found {self.arms!r}, expected namespaces such as /PSM1 or /PSM*")
         if self.igtl_unit not in UNITS:
-            raise ConfigError(f"{place}.igtl_unit: found {self.igtl_unit!r}, expected one of {', '.join(UNITS)}")
+            raise ConfigError(f"{place}.igtl_unit: found {self.igtl_unit!r}, expected {one_of(self.igtl_unit, UNITS)}")
         for item in fields(self):
             value = getattr(self, item.name)
             if isinstance(value, float) and not 0 <= value <= _YEAR_S:
@@ -68,7 +70,8 @@ class ArmsRow:
         self._check_workspace(f"{place}.workspace")
         if len(self.joint_min) != len(self.joint_max):
             raise ConfigError(
-                f"{place}.joint_max: found {len(self.joint_max)} joints, expected {len(self.joint_min)} as joint_min"
+                f"{place}.joint_max: found {counted(len(self.joint_max), 'joint')}, expected {len(self.joint_min)} "
+                "as joint_min"
             )
         if any(least > most for least, most in zip(self.joint_min, self.joint_max, strict=True)):
             raise ConfigError(f"{place}.joint_max: found {list(self.joint_max)}, expected at least joint_min")
@@ -76,12 +79,16 @@ class ArmsRow:
             raise ConfigError(f"{place}.joint_speed: found {list(self.joint_speed)}, expected numbers above 0")
         if self.joint_min and len(self.joint_speed) not in (0, 1, len(self.joint_min)):
             count = len(self.joint_min)
-            raise ConfigError(f"{place}.joint_speed: found {len(self.joint_speed)} joints, expected 1 or {count}")
+            raise ConfigError(
+                f"{place}.joint_speed: found {counted(len(self.joint_speed), 'joint')}, expected 1 or {count}"
+            )
 
     def _check_workspace(self, place: str) -> None:
         box = self.workspace
         if len(box) not in (0, _SPHERE, _BOX):
-            raise ConfigError(f"{place}: found {len(box)} numbers, expected {_SPHERE} of a sphere or {_BOX} of a box")
+            raise ConfigError(
+                f"{place}: found {counted(len(box), 'number')}, expected {_SPHERE} of a sphere or {_BOX} of a box"
+            )
         if len(box) == _SPHERE and not box[3] > 0:
             raise ConfigError(f"{place}: found radius {box[3]}, expected more than 0")
         if len(box) == _BOX and any(least >= most for least, most in zip(box[:3], box[3:], strict=True)):

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.wire.image import SCALARS, Image
 
 #: Limit for announced volumes: a header can announce 65,535³ voxels.
@@ -139,7 +140,9 @@ class VolumeAssembler:
             return image
         size = math.prod(shape) * image.dtype.itemsize
         if size > MAX_VOLUME_BYTES:
-            raise ConversionError(f"IMAGE: found a volume of {size} bytes, expected {MAX_VOLUME_BYTES} at most")
+            raise ConversionError(
+                f"IMAGE: found a volume of {counted(size, 'byte')}, expected {MAX_VOLUME_BYTES} at most"
+            )
         if self._form != form:
             self._begin(form)
         voxels = math.prod(shape[:3])
@@ -151,7 +154,7 @@ class VolumeAssembler:
             if (size + voxels if whole else self.held) > room:
                 self._begin(None)
                 raise ConversionError(
-                    f"IMAGE: found parts of a volume of {size} bytes, expected {room} at most to keep"
+                    f"IMAGE: found parts of a volume of {counted(size, 'byte')}, expected {room} at most to keep"
                 )
             if not whole:
                 return None

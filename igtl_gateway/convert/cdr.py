@@ -18,6 +18,7 @@ import numpy.typing as npt
 from igtl_gateway.base.buffers import MANY_BYTES, Buffer, join_in_steps
 from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.base.long_text import LONG, decoded, encoded
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.native.joining import join_parts
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR_LE, no options
@@ -218,7 +219,8 @@ class CdrReader:
         count = self.u32()
         if count > self._data.nbytes:  # each element has at least one byte
             raise ConversionError(
-                f"{self._type}: a sequence announces {count} elements in a message of {self._data.nbytes} bytes"
+                f"{self._type}: a sequence announces {counted(count, 'element')} in a message of "
+                f"{counted(self._data.nbytes, 'byte')}"
             )
         return count
 
@@ -229,7 +231,7 @@ class CdrReader:
             return np.empty(0, kind)
         if count > _MAX_ELEMENTS:
             raise ConversionError(
-                f"{self._type}: a sequence announces {count} elements, expected at most {_MAX_ELEMENTS}"
+                f"{self._type}: a sequence announces {counted(count, 'element')}, expected at most {_MAX_ELEMENTS}"
             )
         offset = self._take(count * kind.itemsize, align)
         return np.frombuffer(self._data, kind, count, offset)

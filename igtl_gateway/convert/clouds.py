@@ -19,6 +19,7 @@ import numpy.typing as npt
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.base.free_names import FreeNames
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import POINT_FIELD_DTYPES, Header, PointCloud2, PointField, PointStamped
 from igtl_gateway.convert.scaling import all_finite, into_igtl, into_ros
@@ -135,7 +136,7 @@ def cloud_to_polydata(message: PointCloud2, to: ToIgtlContext) -> ConvertedMessa
         values = columns[name]
         width = values.shape[1] if values.ndim > 1 else 1
         if width > MAX_COMPONENTS:
-            text = f"field {name!r} is left out: {width} values per point, maximum {MAX_COMPONENTS}"
+            text = f"field {name!r} is left out: {counted(width, 'value')} per point, maximum {MAX_COMPONENTS}"
             to.warnings.append(("field_left_out", text))
             continue
         if values.dtype.itemsize > np.dtype(np.float32).itemsize or (
@@ -248,8 +249,8 @@ class CloudColumns:
         row = message.width * step
         if (message.height > 1 and message.row_step < row) or size < message.row_step * (message.height - 1) + row:
             raise ConversionError(
-                f"sensor_msgs/PointCloud2: found {size} bytes (row_step {message.row_step}), "
-                f"expected {message.height} rows of {row} bytes"
+                f"sensor_msgs/PointCloud2: found {counted(size, 'byte')} (row_step {message.row_step}), "
+                f"expected {counted(message.height, 'row')} of {row} bytes"
             )
         fields = _layout(message.fields, message.is_bigendian, step)
         count = message.width * message.height

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.convert.context import ToIgtlContext
 from igtl_gateway.wire.fields import cut_text, decode_text, visible
 
@@ -24,7 +25,7 @@ MAX_ROWS = 10_000
 def check_rows(elements: Sized, place: str, most: int = MAX_ROWS) -> None:
     """Raise ConversionError for more than ``most`` elements: converting them would delay all other messages."""
     if len(elements) > most:
-        raise ConversionError(f"{place}: found {len(elements)} elements, expected at most {most}")
+        raise ConversionError(f"{place}: found {counted(len(elements), 'element')}, expected at most {most}")
 
 
 def texts(elements: Array, field: str) -> list[str]:

@@ -24,6 +24,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from igtl_gateway.base.errors import ConfigError, ConversionError
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.convert.poses import Quaternion, rotation_matrix, unit_quaternion
 from igtl_gateway.convert.structs import Pose
@@ -349,7 +350,7 @@ class TfRequest:
         if not all((self.frames, *self.frames, self.base, self.device)):
             raise _refusal(repr(self.text()), _FORM)
         if len(self.frames) > 1 and not _TYPES[self.type]:
-            raise _refusal(f"{len(self.frames)} frames as {self.type}", "TDATA or QTDATA for several frames")
+            raise _refusal(f"{counted(len(self.frames), 'frame')} as {self.type}", "TDATA or QTDATA for several frames")
         if len({*self.frames, self.base}) <= len(self.frames):
             raise _refusal(repr(self.text()), "different frames, none of them the base")
 

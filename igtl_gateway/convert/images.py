@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.rosmsg import Image as RosImage
@@ -51,7 +52,7 @@ def image_to_ros(content: Image, to: ToRosContext) -> RosImage:
     width, height, slices = content.dimensions
     if slices != 1:
         raise ConversionError(
-            f"IMAGE {to.device_name!r}: found a volume of {slices} slices, expected 1 for sensor_msgs/Image"
+            f"IMAGE {to.device_name!r}: found a volume of {counted(slices, 'slice')}, expected 1 for sensor_msgs/Image"
         )
     if content.sub_size != content.dimensions:
         raise ConversionError(
@@ -79,8 +80,8 @@ def image_to_igtl(message: RosImage, _: ToIgtlContext) -> ConvertedMessage:
     size = memoryview(message.data).nbytes
     if message.step < row or size < message.step * (height - 1) + row * (height > 0):
         raise ConversionError(
-            f"sensor_msgs/Image: found {size} bytes with step {message.step}, "
-            f"expected at least {height} rows of {row} bytes ({width} {message.encoding} pixels)"
+            f"sensor_msgs/Image: found {counted(size, 'byte')} with step {message.step}, "
+            f"expected at least {counted(height, 'row')} of {counted(row, 'byte')} ({width} {message.encoding} pixels)"
         )
     if width > _MAX_SIZE or height > _MAX_SIZE:
         raise ConversionError(f"sensor_msgs/Image: found {width} x {height}, expected at most {_MAX_SIZE} each")

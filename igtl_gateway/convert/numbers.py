@@ -14,6 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from igtl_gateway.base.errors import ConversionError, MalformedBody
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.convert import igtl_msgs
 from igtl_gateway.convert.common_msgs import JointState, MultiArrayDimension, MultiArrayLayout
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
@@ -75,7 +76,7 @@ def joints_to_sensor(message: JointState, _: ToIgtlContext) -> ConvertedMessage:
 def _sensor(values: Array, ros_type: str, unit: int = 0, status: int = 0) -> Sensor:
     if len(values) > MAX_VALUES:
         raise ConversionError(
-            f"{ros_type}: found {len(values)} values, expected at most {MAX_VALUES}, the limit of SENSOR"
+            f"{ros_type}: found {counted(len(values), 'value')}, expected at most {MAX_VALUES}, the limit of SENSOR"
         )
     return Sensor(np.asarray(values, ">f8"), unit, status)
 
@@ -171,8 +172,8 @@ def _elements_in_layout(message: MultiArray) -> tuple[Array, tuple[int, ...]]:
     fits = all(stride >= n * below for stride, n, below in zip(strides, size, inner, strict=True))
     if not fits or strides[0] != len(values):
         raise ConversionError(
-            f"{message.TYPE}: found {len(values)} elements with sizes {size} and strides {strides}, "
-            f"expected {math.prod(size)} elements with strides {_strides(size)}"
+            f"{message.TYPE}: found {counted(len(values), 'element')} with sizes {size} and strides {strides}, "
+            f"expected {counted(math.prod(size), 'element')} with strides {_strides(size)}"
         )
     rows = values.reshape(1, len(values))
     for n, below in zip(size, inner, strict=True):

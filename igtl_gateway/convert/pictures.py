@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.quantities import counted
 
 Array = npt.NDArray[Any]
 
@@ -67,7 +68,7 @@ def _depth(form: str, data: Buffer) -> Coding:
         begins = bytes(given[size : size + 4]).hex() or "no data"
         raise ConversionError(
             f"sensor_msgs/CompressedImage: found format {form!r} with {begins} "
-            f"behind its {size} bytes of parameters, expected {' or '.join(_DEPTHS)} as PNG"
+            f"behind its {counted(size, 'byte')} of parameters, expected {' or '.join(_DEPTHS)} as PNG"
         )
     _, scale, shift = _DEPTH_HEAD.unpack_from(given)
     if encoding == _DEPTHS[1] and not (np.isfinite(scale) and np.isfinite(shift) and scale > 0):
@@ -85,7 +86,8 @@ def depths(pixels: Array, coding: Coding) -> Array:
     """
     if pixels.dtype != np.uint16 or pixels.ndim != 2:
         raise ConversionError(
-            f"sensor_msgs/CompressedImage: found a PNG of {pixels.dtype} with {pixels.ndim} axes as depth, "
+            f"sensor_msgs/CompressedImage: found a PNG of {pixels.dtype} with "
+            f"{counted(pixels.ndim, 'axis', 'axes')} as depth, "
             "expected one number of 16 bits for each pixel"
         )
     if coding.depth == _DEPTHS[0]:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.errors import ConversionError, MalformedBody
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.convert import igtl_msgs, surfaces
 from igtl_gateway.convert.columns import fit_texts
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
@@ -116,7 +117,7 @@ def polydata_to_igtl(message: igtl_msgs.PolyData, to: ToIgtlContext) -> Converte
     """
     if len(message.attributes) > MAX_ATTRIBUTES:
         raise ConversionError(
-            f"{message.TYPE}: found {len(message.attributes)} attributes, expected at most {MAX_ATTRIBUTES}"
+            f"{message.TYPE}: found {counted(len(message.attributes), 'attribute')}, expected at most {MAX_ATTRIBUTES}"
         )
     points = into_igtl(to.lengths, message.points, np.empty(message.points.shape, F4))
     if not all_finite(points):
@@ -157,7 +158,8 @@ def _attribute(attribute: igtl_msgs.PolyDataAttribute, message: igtl_msgs.PolyDa
     count, components = len(attribute.values), attribute.components
     if count % components if components else count:
         raise ConversionError(
-            f"{message.TYPE}, attribute {attribute.name!r}: found {count} values, expected a multiple of {components}"
+            f"{message.TYPE}, attribute {attribute.name!r}: found {counted(count, 'value')}, expected a multiple of "
+            f"{components}"
         )
     (name,) = fit_texts((attribute.name,), MAX_ATTRIBUTE_NAME, "name of an attribute", to)
     return Attribute(attribute.type, name, components, attribute.values.astype(F4))

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.geometry import flip_lps_ras
 from igtl_gateway.convert.plus_signs import frame_of_picture, is_any_plus, is_recent_plus
@@ -102,7 +103,7 @@ def _nine_components(content: PolyData) -> Adapted:
     for attribute in content.attributes:
         adapted = _for_cpp_reader(attribute)
         if adapted is None:
-            found = f"type {attribute.type:#x}, {attribute.values.shape[1]} components"
+            found = f"type {attribute.type:#x}, {counted(attribute.values.shape[1], 'component')}"
             left_out.append(f"{attribute.name!r} ({found})")
         else:
             readable.append(adapted)

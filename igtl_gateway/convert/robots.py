@@ -12,6 +12,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.convert.common_msgs import (
     Empty,
     JointState,
@@ -60,13 +61,16 @@ def array_to_joints(content: NdArray, to: ToRosContext) -> JointState:
     rows = np.asarray(content.flat, np.float64).reshape(JOINT_ROWS, -1)
     count = rows.shape[1]
     if count > MAX_JOINTS:
-        raise ConversionError(f"NDARRAY {to.device_name!r}: found {count} joints, expected at most {MAX_JOINTS:,}")
+        raise ConversionError(
+            f"NDARRAY {to.device_name!r}: found {counted(count, 'joint')}, expected at most {MAX_JOINTS:,}"
+        )
     values = []
     for index, name in enumerate(("position", "velocity", "effort")):
         has = rows[2 * index] != 0
         if has.any() and not has.all():
             raise ConversionError(
-                f"NDARRAY {to.device_name!r}: found {name} of {int(has.sum())} of {count} joints, expected all or none"
+                f"NDARRAY {to.device_name!r}: found {name} of {int(has.sum())} of {counted(count, 'joint')}, "
+                "expected all or none"
             )
         values.append(rows[2 * index + 1] if has.any() else np.empty(0))
     names = joint_names(to.metadata)
@@ -118,7 +122,7 @@ def sensor_to_wrench(content: Sensor, to: ToRosContext) -> WrenchStamped:
 def _six(content: Sensor, to: ToRosContext) -> SixNumbers:
     values = tuple(map(float, content.values))
     if len(values) != _SIX:
-        raise ConversionError(f"SENSOR {to.device_name!r}: found {len(values)} values, expected {_SIX}")
+        raise ConversionError(f"SENSOR {to.device_name!r}: found {counted(len(values), 'value')}, expected {_SIX}")
     return values  # type: ignore[return-value]  # six of them
 
 
@@ -143,7 +147,9 @@ def sensor_to_joy(content: Sensor, to: ToRosContext) -> Joy:
 def joy_to_sensor(message: Joy, _: ToIgtlContext) -> ConvertedMessage:
     """Convert the buttons to SENSOR.  Raises ConversionError for more than SENSOR has values."""
     if len(message.buttons) > MAX_VALUES:
-        raise ConversionError(f"{message.TYPE}: found {len(message.buttons)} buttons, expected at most {MAX_VALUES}")
+        raise ConversionError(
+            f"{message.TYPE}: found {counted(len(message.buttons), 'button')}, expected at most {MAX_VALUES}"
+        )
     return _sensor(np.asarray(message.buttons), message.header)
 
 

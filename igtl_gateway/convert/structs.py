@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.stamp import ns_to_ros, ros_to_ns
 from igtl_gateway.base.versions import Self
 from igtl_gateway.convert.cdr import CdrReader, CdrWriter
@@ -92,7 +93,7 @@ def fixed_array(name: str, count: int, *, as_name: str = "") -> CdrType:
         try:
             out.pack(layout, align, *values)
         except struct.error:
-            raise ConversionError(f"found {values!r}, expected {count} numbers that fit {shown}") from None
+            raise ConversionError(f"found {values!r}, expected {counted(count, 'number')} that fit {shown}") from None
 
     return CdrType(shown, write, lambda read: read.unpack(code, align))
 

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.quantities import count_text, counted
 from igtl_gateway.convert.clouds import RGBA_NAME, colour_field, unit_colours
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.poses import rotation_matrix, unit_quaternion
@@ -114,7 +115,8 @@ def marker_to_igtl(message: Marker, to: ToIgtlContext) -> ConvertedMessage:
     group = group or count
     if not group or count % group:
         raise ConversionError(
-            f"visualization_msgs/Marker, type {message.type}: found {count} points, expected groups of {group or 1}"
+            f"visualization_msgs/Marker, type {message.type}: found {counted(count, 'point')}, expected groups of "
+            f"{group or 1}"
         )
     indices = np.arange(count).reshape(-1, group)
     points = message.points
@@ -125,7 +127,7 @@ def marker_to_igtl(message: Marker, to: ToIgtlContext) -> ConvertedMessage:
     if len(message.colors) == count:
         attributes = (Attribute.of(SCALAR, RGBA_NAME, message.colors),)
     elif len(message.colors):
-        text = f"colours are left out: {len(message.colors)} for {count} points"
+        text = f"colours are left out: {len(message.colors)} for {counted(count, 'point')}"
         to.warnings.append(("colours_left_out", text))
     cells: dict[str, Any] = {"vertices": NO_CELLS, "lines": NO_CELLS, "polygons": NO_CELLS} | {
         section: Cells.of(indices)
@@ -234,7 +236,7 @@ def _pieces(cells: Cells, size: int, cut: Callable[[Array], Array]) -> Array:
         return np.empty((0, size), np.int64)
     # a cell of n points has at most n pieces: most messages need no exact count
     if len(cells.data) > MAX_PIECES and (found := _count(cells, size)) > MAX_PIECES:
-        raise ConversionError(f"POLYDATA: found cells of {found:,} pieces, expected at most {MAX_PIECES:,}")
+        raise ConversionError(f"POLYDATA: found cells of {count_text(found, 'piece')}, expected at most {MAX_PIECES:,}")
     if (table := cells.table) is not None:  # cells of equal length
         width = table.shape[1]
         if width == size:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.convert.columns import fit_texts
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import DiagnosticStatus
@@ -33,7 +34,8 @@ def string_to_igtl(message: RosString, _: ToIgtlContext) -> ConvertedMessage:
     content = String.of(message.data)
     if len(content.data) > MAX_STRING_BYTES:
         raise ConversionError(
-            f"std_msgs/String: found {len(content.data)} bytes of UTF-8, expected at most {MAX_STRING_BYTES}: "
+            f"std_msgs/String: found {counted(len(content.data), 'byte')} of UTF-8, expected at most "
+            f"{MAX_STRING_BYTES}: "
             "STRING has a 16-bit length"
         )
     return ConvertedMessage(content)

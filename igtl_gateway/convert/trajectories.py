@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.quantities import by_count, counted
 from igtl_gateway.convert.columns import check_rows, set_text_fields, texts
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import LabeledPoint, PointList, Trajectory, TrajectoryList
@@ -103,7 +104,10 @@ def _warn_of_ends(elements: Array, to: ToRosContext) -> None:
     else:
         meaning = {ENTRY_ONLY: "entry only", TARGET_ONLY: "target only, the default of the C++ library"}
         why = f"the type {found} ({meaning.get(found, 'undefined')}), although both ends are set; a line has the type 3"
-    text = f"{len(left_out)} of {len(elements)} trajectories are not drawn: {name!r} has {why}"
+    text = (
+        f"{len(left_out)} of {counted(len(elements), 'trajectory', 'trajectories')} "
+        f"{by_count(len(left_out), 'is', 'are')} not drawn: {name!r} has {why}"
+    )
     to.warnings.append(("trajectory_not_drawn", text))
 
 

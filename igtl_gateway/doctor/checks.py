@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from igtl_gateway.base.quantities import count_text, duration_text
+from igtl_gateway.base.quantities import count_text, counted, duration_text
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.convert.names import MAX_DEVICE_NAME, topic_token
 from igtl_gateway.doctor.observations import ObservedPeer, ObservedStream
@@ -382,7 +382,7 @@ def same_names(observed: Observer) -> Iterator[RuleMatch]:
         if len(concurrent) > 1:
             yield RuleMatch(
                 name,
-                f"{len(concurrent)} peers send {name} at the same time; receivers treat them as one stream",
+                f"{counted(len(concurrent), 'peer')} send {name} at the same time; receivers treat them as one stream",
             )
 
 
@@ -428,7 +428,10 @@ def is_fine(stream: ObservedStream) -> int:
 
 
 def fine(stream: ObservedStream) -> str:
-    text = f"spacing of {stream.lengths.smallest_spacing:.3g} mm in {stream.lengths.fine} of {stream.messages} images"
+    text = (
+        f"spacing of {stream.lengths.smallest_spacing:.3g} mm in {stream.lengths.fine} of "
+        f"{counted(stream.messages, 'image')}"
+    )
     if stream.lengths.smallest_spacing:
         return text
     return f"{text}: C++ senders that do not call SetSpacing send 0, and pygtlink 1.0.0 always"

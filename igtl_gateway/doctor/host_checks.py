@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.realtime import cpus_text
 from igtl_gateway.doctor.host_facts import HostFacts
 from igtl_gateway.doctor.host_probe import Delays, HostMeasurement
@@ -203,7 +204,7 @@ def shared_memory(facts: HostFacts) -> Judgement | None:
 def socket_buffers(facts: HostFacts) -> Judgement | None:
     if facts.rmem_max is None or facts.wmem_max is None:
         return None
-    found = f"rmem_max {facts.rmem_max:,}, wmem_max {facts.wmem_max:,} bytes"
+    found = f"rmem_max {facts.rmem_max:,}, wmem_max {count_text(facts.wmem_max, 'byte')}"
     return _judged(min(facts.rmem_max, facts.wmem_max) >= MIN_SOCKET_BYTES, found)
 
 

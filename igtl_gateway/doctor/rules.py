@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from igtl_gateway.base.quantities import count_text, duration_text
+from igtl_gateway.base.quantities import by_count, count_text, duration_text
 from igtl_gateway.doctor import checks
 from igtl_gateway.doctor.checks import RuleMatch, each_stream
 from igtl_gateway.doctor.observer import Observer
@@ -323,7 +323,8 @@ RULES: tuple[Rule, ...] = (
         "check whether the sender's clock was set, or messages overtake each other",
         each_stream(
             lambda one: one.timing.backwards,
-            lambda one: f"{one.timing.backwards} of {one.timing.stamped} stamps are earlier than the previous one",
+            lambda one: f"{one.timing.backwards} of {one.timing.stamped} stamps "
+            f"{by_count(one.timing.backwards, 'is', 'are')} earlier than the previous one",
         ),
     ),
     Rule(

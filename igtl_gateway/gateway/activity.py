@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from igtl_gateway.base.quantities import by_count, count_text
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.outcome import Finding
@@ -35,7 +36,14 @@ class Activity:
             self._times += 1
         if not number:
             return []
-        return [Finding(Level.INFO, "active", f"{number:,} messages were refused while the gateway was not active")]
+        return [
+            Finding(
+                Level.INFO,
+                "active",
+                f"{count_text(number, 'message')} {by_count(number, 'was', 'were')} refused while the gateway was "
+                "not active",
+            )
+        ]
 
     def refuse(self, entry: Entry) -> Finding:
         """Count a refused message; return the finding about its stream."""

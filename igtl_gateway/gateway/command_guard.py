@@ -20,6 +20,7 @@ import numpy as np
 
 from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.arms import arms_row
@@ -379,10 +380,11 @@ class CommandGuard:
             )
         count = len(arms.joint_min) if measured is None else len(measured.values)
         if len(values) != count or count == 0:
-            raise Refused("command_joint_count", f"{device}: found {len(values)} joints, expected {count}")
+            raise Refused("command_joint_count", f"{device}: found {counted(len(values), 'joint')}, expected {count}")
         if arms.joint_min and len(arms.joint_min) != count:
             raise Refused(
-                "command_joint_count", f"{device}: found {count} joints, expected {len(arms.joint_min)} (joint_min)"
+                "command_joint_count",
+                f"{device}: found {counted(count, 'joint')}, expected {len(arms.joint_min)} (joint_min)",
             )
         relative = command.name.motion is Motion.JOINT_STEPS
         if relative and measured is None:
@@ -434,7 +436,7 @@ class CommandGuard:
         """Return the values of a command that names its joints in the order of the arm.  Raises Refused."""
         order = self._joints.of(f"{command.base}/{_JOINT_STATE}")
         if len(command.joints) != len(values):
-            found = f"{len(values)} values for the joints {_listed(command.joints)}"
+            found = f"{counted(len(values), 'value')} for the joints {_listed(command.joints)}"
             raise Refused("command_joint_count", f"{command.device}: found {found}, expected one for each")
         at = places(command.joints, order)
         if at is None:
@@ -499,7 +501,7 @@ def _check_workspace(device: str, workspace: tuple[float, ...], place: tuple[flo
 def _check_wrench(command: RobotCommand, values: tuple[float, ...]) -> None:
     device, arms = command.device, command.arms
     if len(values) != _SIX:
-        raise Refused("command_joint_count", f"{device}: found {len(values)} values, expected {_SIX}")
+        raise Refused("command_joint_count", f"{device}: found {counted(len(values), 'value')}, expected {_SIX}")
     for found, most, unit in (
         (math.hypot(*values[:3]), arms.max_force, "N (max_force)"),
         (math.hypot(*values[3:]), arms.max_torque, "N m (max_torque)"),

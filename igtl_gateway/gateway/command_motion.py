@@ -19,6 +19,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.convert.crtk import Motion
 from igtl_gateway.convert.poses import Quaternion
@@ -154,14 +155,17 @@ def check_joint_speed(
     limits = speeds * len(goal) if len(speeds) == 1 else speeds
     if len(limits) != len(goal):
         raise Refused(
-            "command_joint_count", f"{device}: found {len(goal)} joints, expected {len(speeds)} (joint_speed)"
+            "command_joint_count",
+            f"{device}: found {counted(len(goal), 'joint')}, expected {len(speeds)} (joint_speed)",
         )
     for reach in reaches:
         ways = steps
         if ways is None:
             before = reach.start.values
             if len(before) != len(goal):
-                raise Refused("command_joint_count", f"{device}: found {len(goal)} joints, expected {len(before)}")
+                raise Refused(
+                    "command_joint_count", f"{device}: found {counted(len(goal), 'joint')}, expected {len(before)}"
+                )
             ways = [value - at for value, at in zip(goal, before, strict=True)]
         for number, (way, speed) in enumerate(zip(ways, limits, strict=True), 1):
             if not abs(way) <= _most(speed, reach):

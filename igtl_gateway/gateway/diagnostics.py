@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from igtl_gateway.base.quantities import duration_text
+from igtl_gateway.base.quantities import by_count, count_text, duration_text
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.convert.common_msgs import DiagnosticArray
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header
@@ -120,14 +120,19 @@ class Diagnostics:
         rowless = [(key[1], ones) for key, ones in by_stream.items() if key[1] not in streams.get(key[0], {})]
         statuses += [self._frame(stream, ones) for stream, ones in rowless[:MAX_STREAMS]]
         if len(rows) > MAX_STREAMS:
-            text = f"{len(rows) - MAX_STREAMS:,} more streams are not shown"
+            text = (
+                f"{count_text(len(rows) - MAX_STREAMS, 'more stream')} "
+                f"{by_count(len(rows) - MAX_STREAMS, 'is', 'are')} not shown"
+            )
             statuses.append(DiagnosticStatus(WARN, f"{self._node}: further streams", text, self._hardware_id))
         return DiagnosticArray(Header(utc_ns, ""), tuple(statuses))
 
     def _frame(self, stream: str, watched: list[GuardedStream]) -> DiagnosticStatus:
         """Build the status of a guarded stream that the ledger does not have: a tf frame, a child of a BIND."""
         stale = sum(one.stale for one in watched)
-        level, text = (ERROR, f"stale: {stale:,} messages withheld so far (max_age_s)") if stale else (OK, "fresh")
+        level, text = (
+            (ERROR, f"stale: {count_text(stale, 'message')} withheld so far (max_age_s)") if stale else (OK, "fresh")
+        )
         return DiagnosticStatus(level, f"{self._node}: {stream}", text, self._hardware_id)
 
     def _stream(
@@ -154,10 +159,13 @@ class Diagnostics:
         stale = [one for one in watched if one.stale]
         odd = sorted({code for one in watched for code in one.episodes})
         if stale:
-            level, text = ERROR, f"stale: {sum(one.stale for one in stale):,} messages withheld so far (max_age_s)"
+            level, text = (
+                ERROR,
+                f"stale: {count_text(sum(one.stale for one in stale), 'message')} withheld so far (max_age_s)",
+            )
         elif fresh_troubles > 0:
             reasons = ", ".join(reason for reason in dropped if reason not in HARMLESS)
-            level, text = ERROR, f"{fresh_troubles:,} messages lost since the last report: {reasons}"
+            level, text = ERROR, f"{count_text(fresh_troubles, 'message')} lost since the last report: {reasons}"
         elif odd:
             level, text = WARN, ", ".join(odd)
         elif has_left:
@@ -178,7 +186,7 @@ class Diagnostics:
         name = f"{self._node}: peer {peer.link} {peer.address}"
         lost = self._increase(name, peer.dropped)
         clock = best(one.timing for one in watched)
-        level, text = (ERROR, f"reads too slowly: {lost:,} messages dropped") if lost else (OK, "connected")
+        level, text = (ERROR, f"reads too slowly: {count_text(lost, 'message')} dropped") if lost else (OK, "connected")
         if not lost and any(FUTURE in one.episodes for one in watched):
             level, text = WARN, "stamps are in the future"
         values = [(key, f"{getattr(peer, key)}") for key in ("role", "received", "sent", "queued", "dropped")]
@@ -191,7 +199,7 @@ class Diagnostics:
         if counters is None:
             return DiagnosticStatus(OK, name, "not recording", self._hardware_id)
         lost = self._increase(name, counters["dropped_entries"])
-        level, text = (ERROR, f"lost {lost:,} entries") if lost else (OK, "recording")
+        level, text = (ERROR, f"lost {count_text(lost, 'entry', 'entries')}") if lost else (OK, "recording")
         if counters["failure"]:
             level, text = ERROR, str(counters["failure"])
         elif counters.get("taken_away"):
@@ -204,14 +212,22 @@ class Diagnostics:
 
     def _upload(self, counters: Mapping[str, Any]) -> DiagnosticStatus:
         waiting, problem = counters["waiting"], counters["problem"]
-        level, text = (WARN, f"waits: {problem}") if problem else (OK, f"{waiting:,} files wait")
+        level, text = (
+            (WARN, f"waits: {problem}")
+            if problem
+            else (OK, f"{count_text(waiting, 'file')} {by_count(waiting, 'waits', 'wait')}")
+        )
         values = tuple((key, f"{counters[key]}") for key in counters if key != "problem")
         return DiagnosticStatus(level, f"{self._node}: upload", text, self._hardware_id, values)
 
     def _site(self, over_budget: int) -> DiagnosticStatus:
         name = f"{self._node}: site"
         dropped = self._increase(name, over_budget)
-        level, text = (WARN, f"budget exceeded: {dropped:,} messages dropped") if dropped else (OK, "within the budget")
+        level, text = (
+            (WARN, f"budget exceeded: {count_text(dropped, 'message')} dropped")
+            if dropped
+            else (OK, "within the budget")
+        )
         return DiagnosticStatus(level, name, text, self._hardware_id, (("over_budget", f"{over_budget}"),))
 
     def _increase(self, name: str, number: int) -> int:

@@ -24,7 +24,7 @@ from typing import Any
 
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import RecordingError
-from igtl_gateway.base.quantities import duration_text
+from igtl_gateway.base.quantities import count_text, duration_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.triggers import Trigger
 from igtl_gateway.gateway.log.entry import Entry
@@ -407,9 +407,9 @@ class BlackBox(Ring):
             lacks.append(f"{duration_text(row.until_ns - self._last_ns)} after it: the recording ended")
         lost = sum(count for begin, end, count in self._gaps if end >= begin_ns and begin <= row.until_ns)
         if lost:
-            lacks.append(f"{lost:,} entries: the disk or the machine was too slow")
+            lacks.append(f"{count_text(lost, 'entry', 'entries')}: the disk or the machine was too slow")
         if window.skipped:
-            lacks.append(f"{window.skipped:,} entries that the format cannot hold")
+            lacks.append(f"{count_text(window.skipped, 'entry', 'entries')} that the format cannot hold")
         return {
             "rule": str(row.rule),
             "why": row.why,

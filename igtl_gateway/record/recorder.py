@@ -25,7 +25,7 @@ from typing import Any
 
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import RecordingError
-from igtl_gateway.base.quantities import duration_text, size_text
+from igtl_gateway.base.quantities import by_count, count_text, duration_text, size_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Level, Note
@@ -370,7 +370,8 @@ class Recorder:
             self._is_blocked = not self._queue.is_awaited and (shares is None or shares.cause == DISK)
             cause = "the disk does not answer" if self._is_blocked else "the recorder has no processor"
             text = (
-                f"{cause}: nothing was written for {_STILL_NS / NS_PER_S:g} s; {entries:,} entries "
+                f"{cause}: nothing was written for {_STILL_NS / NS_PER_S:g} s; "
+                f"{count_text(entries, 'entry', 'entries')} "
                 f"({size_text(size)}) wait in memory, and what it has no room for is dropped"
             )
             self._on_message("note", [Note(Level.WARN, STALLED, text)])
@@ -406,7 +407,8 @@ class Recorder:
             if begins:
                 text = (
                     f"the file is {duration_text(behind_ns)} behind: a kill of both processes would lose that now "
-                    f"(--flush-interval {self.options.flush_s:g}); {put - flushed:,} entries wait"
+                    f"(--flush-interval {self.options.flush_s:g}); {count_text(put - flushed, 'entry', 'entries')} "
+                    f"{by_count(put - flushed, 'waits', 'wait')}"
                 )
                 self._on_message("note", [Note(Level.WARN, LATE, text, data={"behind_s": behind_ns / NS_PER_S})])
         elif self._late_ns is not None and now_ns - self._late_ns > _CALM_NS:

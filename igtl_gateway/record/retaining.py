@@ -135,8 +135,8 @@ class RetentionThread:
 def _text(choices: list[Choice]) -> str:
     """``3 recordings (1,234 bytes)``, or the name of one."""
     size = sum(each.recording.size for each in choices)
-    what = choices[0].recording.name if len(choices) == 1 else f"{count_text(len(choices), 'recording')}"
-    return f"{what} ({size:,} bytes)"
+    what = choices[0].recording.name if len(choices) == 1 else count_text(len(choices), "recording")
+    return f"{what} ({count_text(size, 'byte')})"
 
 
 def _data(report: RetentionReport) -> dict[str, object]:

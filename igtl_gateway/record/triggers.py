@@ -14,6 +14,7 @@ from typing import Any
 from igtl_gateway.base.errors import ConversionError, DamagedRecording, WireError
 from igtl_gateway.base.globs import matches
 from igtl_gateway.base.near import did_you_mean, near_names
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.untrusted.decoding import BadBytes, MessageDecoder
 from igtl_gateway.config.triggers import Trigger
 from igtl_gateway.convert.common_msgs import DiagnosticArray, OperatingState
@@ -221,7 +222,7 @@ def _number_at(message: Any, path: str) -> float | str | None:
                 return f"{found[1]!r} is not an array"
             except IndexError:
                 # it may get values later
-                return f"{found[1]!r} has {len(message)} values" if len(message) else None
+                return f"{found[1]!r} has {counted(len(message), 'value')}" if len(message) else None
     try:
         return float(message)
     except (TypeError, ValueError):

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import FileTaken, RecordingError
 from igtl_gateway.base.qos import Qos
-from igtl_gateway.base.quantities import count_text
+from igtl_gateway.base.quantities import by_count, count_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Level, Note
@@ -388,7 +388,10 @@ class _RecorderWorker:
             raise RecordingError(f"{error}; {obstacle}") from None
         self._account.dropped[TAKEN] += lost
         self._failures.taken_away = f"{error}; the recording goes on in {path}"
-        text = f"{self._failures.taken_away}; {lost:,} entries were in the file"
+        text = (
+            f"{self._failures.taken_away}; {count_text(lost, 'entry', 'entries')} {by_count(lost, 'was', 'were')} "
+            f"in the file"
+        )
         self._note(Note(Level.ERROR, CONTINUED, text, data={"lost": lost, "path": str(path)}))
 
     def _set_paused(self, paused: bool) -> None:
@@ -401,7 +404,10 @@ class _RecorderWorker:
             self._note(Note(Level.INFO, PAUSED, "the recording is paused"))
             return
         missed = self._account.left_out_since_pause(left_out)
-        text = f"the recording goes on; {missed:,} entries were left out"
+        text = (
+            f"the recording goes on; {count_text(missed, 'entry', 'entries')} {by_count(missed, 'was', 'were')} "
+            f"left out"
+        )
         self._note(Note(Level.INFO, RESUMED, text, data={"left_out": missed}))
 
     def _answer_requests(self) -> None:
@@ -513,7 +519,9 @@ class _RecorderWorker:
                 level = Level.ERROR
                 self._account.dropped[TAKEN] += part.entries
                 self._failures.miss(text)
-            text += f"; {part.entries:,} entries were in the file"
+            text += (
+                f"; {count_text(part.entries, 'entry', 'entries')} {by_count(part.entries, 'was', 'were')} in the file"
+            )
             self._note(Note(level, LOST_PART, text, data={"lost": part.entries, "path": str(part.path)}))
 
     def _report_drops(self, now_ns: int) -> None:
@@ -524,7 +532,10 @@ class _RecorderWorker:
         done_bytes = self._queue.done_bytes
         cause, figures = self._pace.describe(now_ns, done_bytes)
         self._pace.begin(now_ns, done_bytes)
-        text = f"{cause}: {unnoted.total():,} entries of {count_text(len(unnoted), 'stream')} are not in the recording"
+        text = (
+            f"{cause}: {count_text(unnoted.total(), 'entry', 'entries')} of {count_text(len(unnoted), 'stream')} "
+            f"{by_count(unnoted.total(), 'is', 'are')} not in the recording"
+        )
         text += f" ({figures})" if figures else ""
         self._note(Note(Level.WARN, DROPPED, text, data={"dropped": dict(sorted(unnoted.items()))}))
 

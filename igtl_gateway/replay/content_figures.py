@@ -81,7 +81,7 @@ def _compare(stated: StatedFigures, file: SessionFile, steps: list[ClockStep]) -
     found = {(each.kind, each.channel, each.type): each.messages for each in stated.streams}
     if found != expected:
         raise _Unlike(
-            f"figures: found {sum(found.values()):,} messages of {count_text(len(found), 'stream')}, "
+            f"figures: found {count_text(sum(found.values()), 'message')} of {count_text(len(found), 'stream')}, "
             f"the index has {expected.total():,} of {len(expected)}, or others"
         )
     jumped_ns = sum(step.jump_ns for step in steps)
@@ -94,7 +94,7 @@ def _compare(stated: StatedFigures, file: SessionFile, steps: list[ClockStep]) -
                 f"figures: found a pause of {each.longest_pause_ns} ns in {each.channel!r}, within {span_ns} ns"
             )
         if each.bytes > file.most_bytes:
-            raise _Unlike(f"figures: found {each.bytes:,} bytes of {each.channel!r}, more than there are")
+            raise _Unlike(f"figures: found {count_text(each.bytes, 'byte')} of {each.channel!r}, more than there are")
 
 
 def _stream_of(channel: ChannelSummary) -> tuple[object, str, str]:

@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.chunk_columns import equal_ranges
 from igtl_gateway.record.sessionfile.columns import EntryColumns
@@ -741,4 +742,4 @@ def _together(one: _WaitingMessages, other: _WaitingMessages) -> tuple[int, int]
 
 def _value_text(value: Any) -> str:
     text = repr(value)
-    return text if len(text) <= 100 else f"{text[:80]}… ({len(text)} characters)"
+    return text if len(text) <= 100 else f"{text[:80]}… ({counted(len(text), 'character')})"

@@ -11,7 +11,7 @@ from itertools import chain
 from pathlib import Path
 
 from igtl_gateway.base.errors import ConfigError, DamagedRecording
-from igtl_gateway.base.near import did_you_mean, near_names
+from igtl_gateway.base.near import LISTED, one_of
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -131,5 +131,4 @@ def find_mark(name: str, marks: Sequence[Mark], option: str) -> Mark:
     labels = list(dict.fromkeys(mark.label for mark in marks))
     if not labels:
         raise ConfigError(f"{option}: found {_PREFIX}{name}, expected a recording with marks: this one has none")
-    expected = did_you_mean(near_names(name, labels)) or f"expected one of {', '.join(map(repr, labels[:10]))}"
-    raise ConfigError(f"{option}: found no mark {name!r}; {expected}")
+    raise ConfigError(f"{option}: found no mark {name!r}, expected {one_of(name, sorted(labels), LISTED)}")

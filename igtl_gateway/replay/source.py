@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.globs import matches
-from igtl_gateway.base.near import did_you_mean, near_streams, unmatched, without_match
+from igtl_gateway.base.near import streams_expected, unmatched, without_match
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway import LINK_UP, Session, make_core
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -140,9 +140,9 @@ def check_recorded(files: Sequence[SessionFile], globs: Sequence[str], place: st
         return []
     if len(without) < len(globs):
         return [f"{place} {glob}: {unmatched(glob, names)}" for glob in without]
-    question = did_you_mean(near for glob in without for near in near_streams(glob, names))
-    expected = f"expected a recorded stream: {question or '`igtl-gateway info` lists them'}"
-    raise ConfigError(f"{place}: found {', '.join(map(repr, without))}, {expected}")
+    raise ConfigError(
+        f"{place}: found {', '.join(map(repr, without))}, {streams_expected(without, names, files[0].path)}"
+    )
 
 
 def matches_any(name: str, globs: Sequence[str]) -> bool:

@@ -19,6 +19,7 @@ from typing import Any
 
 from igtl_gateway.base.buffers import Buffer, join
 from igtl_gateway.base.errors import ChecksumMismatch, GatewayError
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.igtl_msgs import LinkStatusList, Metadata, RawMessage
 from igtl_gateway.convert.table import TO_ROS
@@ -415,9 +416,9 @@ def _name(entry: Entry) -> str:
 
 
 def _kind(entry: Entry) -> str:
-    return f"{entry.kind.value} of {entry.size} bytes"
+    return f"{entry.kind.value} of {counted(entry.size, 'byte')}"
 
 
 def _value_text(value: Any) -> str:
     text = repr(value)
-    return text if len(text) <= 120 else f"{text[:100]}… ({len(text)} characters)"
+    return text if len(text) <= 120 else f"{text[:100]}… ({counted(len(text), 'character')})"

@@ -14,6 +14,7 @@ from typing import Any
 
 from igtl_gateway.base.globs import matches
 from igtl_gateway.base.near import unmatched
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.stream_units import StreamUnits
@@ -132,7 +133,7 @@ def _differences(stream: _Stream, one: _Side, other: _Side, rules: _Rules) -> li
     expected, found = one.streams.get(stream, []), other.streams.get(stream, [])
     differences = []
     if len(expected) != len(found):
-        differences.append(f"{name}: {len(expected)} messages expected, {len(found)} found")
+        differences.append(f"{name}: {counted(len(expected), 'message')} expected, {len(found)} found")
     for number, (left, right) in enumerate(zip(expected, found, strict=False), start=1):
         if left.type == right.type and left.data() == right.data():
             continue
@@ -176,4 +177,4 @@ def _first_byte(one: bytes, other: bytes) -> str:
 
 def _value_text(value: Any) -> str:
     text = repr(value)
-    return text if len(text) <= 80 else f"{text[:70]}… ({len(text)} characters)"
+    return text if len(text) <= 80 else f"{text[:70]}… ({counted(len(text), 'character')})"

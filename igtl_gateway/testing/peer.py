@@ -16,6 +16,7 @@ from igtl_gateway.app.replay_settings import Side
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError, WireError
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.faults import Faults
@@ -144,7 +145,9 @@ class ReplayPeer:
         def found() -> list[Message]:
             return [message for message in self.received if type_name in ("", message.type)]
 
-        self._wait(lambda: len(found()) >= count, f"{count} messages {type_name}".rstrip() + " received", timeout_s)
+        self._wait(
+            lambda: len(found()) >= count, f"{counted(count, 'message')} {type_name}".rstrip() + " received", timeout_s
+        )
         return found()[:count]
 
     def close(self) -> None:

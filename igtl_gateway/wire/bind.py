@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import MalformedBody
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
 from igtl_gateway.wire.header import TYPE_SIZE
@@ -127,7 +128,9 @@ class Bind:
 
 def _check_number(total: int) -> None:
     if total > MAX_CHILDREN:
-        raise MalformedBody("BIND content", f"{total} children", f"at most {MAX_CHILDREN} on all levels together")
+        raise MalformedBody(
+            "BIND content", counted(total, "child", "children"), f"at most {MAX_CHILDREN} on all levels together"
+        )
 
 
 def _read(
@@ -159,6 +162,8 @@ def _read(
             *_, total = _read(memoryview(child.content), depth + 1, total)
         children.append(child)
     if offset != content.nbytes:
-        raise MalformedBody("BIND content", f"{content.nbytes} bytes", f"{offset} bytes by its own sizes")
+        raise MalformedBody(
+            "BIND content", counted(content.nbytes, "byte"), f"{counted(offset, 'byte')} by its own sizes"
+        )
     usual_pads = bytes(sum(size % 2 for _, size in heads))
     return tuple(children), table, None if pads == usual_pads else bytes(pads), total

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import MalformedBody
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
 from igtl_gateway.wire.header import TYPE_SIZE
@@ -37,7 +38,7 @@ class Capability:
     def unpack(cls, content: memoryview) -> Self:
         count, rest = divmod(content.nbytes, TYPE_SIZE)
         if rest:
-            raise MalformedBody("CAPABILITY content", f"{content.nbytes} bytes", f"a multiple of {TYPE_SIZE}")
+            raise MalformedBody("CAPABILITY content", counted(content.nbytes, "byte"), f"a multiple of {TYPE_SIZE}")
         _check(count)
         data = bytes(content)
         return cls(tuple(decode_text(data[at : at + TYPE_SIZE]) for at in range(0, len(data), TYPE_SIZE)))
@@ -53,4 +54,4 @@ class Capability:
 
 def _check(count: int) -> None:
     if count > MAX_TYPES:
-        raise MalformedBody("CAPABILITY content", f"{count} type names", f"at most {MAX_TYPES}")
+        raise MalformedBody("CAPABILITY content", counted(count, "type name"), f"at most {MAX_TYPES}")

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.body import describe_values
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
@@ -46,7 +47,9 @@ class ColorTable:
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
         if content.nbytes < cls._HEAD.size:
-            raise TruncatedMessage("COLORT content", f"{content.nbytes} bytes", f"at least {cls._HEAD.size} bytes")
+            raise TruncatedMessage(
+                "COLORT content", counted(content.nbytes, "byte"), f"at least {cls._HEAD.size} bytes"
+            )
         index_type, map_type = cls._HEAD.unpack_from(content)
         table = cls(index_type, map_type, content[cls._HEAD.size :])
         table.check()
@@ -64,7 +67,7 @@ class ColorTable:
         dtype, values = MAPS[self.map_type]
         expected = ENTRIES[self.index_type] * values * np.dtype(dtype).itemsize
         if size != expected:
-            raise MalformedBody("COLORT table", f"{size} bytes", f"{expected} bytes")
+            raise MalformedBody("COLORT table", counted(size, "byte"), counted(expected, "byte"))
 
     def pack(self) -> list[Buffer]:
         self.check()

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 from igtl_gateway.base.buffers import Buffer, join
 from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.base.long_text import encoded
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
@@ -53,7 +54,9 @@ class Command:
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
         if content.nbytes < cls._HEAD.size:
-            raise TruncatedMessage("COMMAND content", f"{content.nbytes} bytes", f"at least {cls._HEAD.size} bytes")
+            raise TruncatedMessage(
+                "COMMAND content", counted(content.nbytes, "byte"), f"at least {cls._HEAD.size} bytes"
+            )
         command_id, name, encoding, size = cls._HEAD.unpack_from(content)
         follow = content.nbytes - cls._HEAD.size
         if size != follow:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import MalformedBody
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.fields import decode_text, visible
 from igtl_gateway.wire.layout import Layout
@@ -49,7 +50,7 @@ class Elements:
     def unpack(cls, content: memoryview) -> Self:
         if content.nbytes % cls.DTYPE.itemsize:
             expected = f"a multiple of {cls.DTYPE.itemsize}"
-            raise MalformedBody(f"{cls.NAME} content", f"{content.nbytes} bytes", expected)
+            raise MalformedBody(f"{cls.NAME} content", counted(content.nbytes, "byte"), expected)
         return cls(np.frombuffer(content, cls.DTYPE))
 
     def pack(self) -> list[Buffer]:

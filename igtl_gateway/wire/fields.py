@@ -11,6 +11,7 @@ from functools import lru_cache
 
 from igtl_gateway.base.errors import MalformedBody
 from igtl_gateway.base.long_text import replaced
+from igtl_gateway.base.quantities import counted
 
 #: Names come again and again: those of fields in headers are remembered.
 _NAME = 32
@@ -34,7 +35,9 @@ def encode_text(text: str, width: int, place: str) -> bytes:
     """``text`` as UTF-8, zero-padded to ``width`` bytes.  Raises MalformedBody if it does not fit."""
     data = text.encode("utf-8", "surrogateescape")
     if len(data) > width:
-        raise MalformedBody(place, f"{visible(text)!r} ({len(data)} bytes)", f"at most {width} bytes of UTF-8")
+        raise MalformedBody(
+            place, f"{visible(text)!r} ({counted(len(data), 'byte')})", f"at most {counted(width, 'byte')} of UTF-8"
+        )
     return data.ljust(width, b"\x00")
 
 

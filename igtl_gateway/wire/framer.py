@@ -17,6 +17,7 @@ import numpy as np
 
 from igtl_gateway.base.errors import MessageTooLarge
 from igtl_gateway.base.globs import matches
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.wire.header import BODY_SIZE_AT, DEFAULT_MAX_BODY, HEADER_SIZE, TYPE, U64
 
 # Several hundred transforms at one system call, and copying it once (a few µs) is cheaper than a system call.
@@ -72,7 +73,7 @@ class Framer:
         """
         self._check()
         if not 0 <= count <= len(self._storage) - self._filled:
-            raise ValueError(f"{count} bytes received, the buffer holds {len(self._storage) - self._filled}")
+            raise ValueError(f"{counted(count, 'byte')} received, the buffer holds {len(self._storage) - self._filled}")
         self._filled += count
         if self._filled < self._need:
             return []
@@ -135,7 +136,11 @@ class Framer:
         name = header[TYPE].partition(b"\0")[0].decode("utf-8", "replace")
         limit = next((size for glob, size in self._rows if matches(glob, name)), self._max_body)
         if body > limit:
-            self._too_large = (f"header of {name!r}, body size", f"{body} bytes", f"at most {limit} bytes")
+            self._too_large = (
+                f"header of {name!r}, body size",
+                counted(body, "byte"),
+                f"at most {counted(limit, 'byte')}",
+            )
         return body > limit
 
     def _reserve(self, have: memoryview) -> None:

@@ -13,6 +13,7 @@ import fastcrc
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import TruncatedMessage
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.values import value
 from igtl_gateway.wire.fields import decode_text, encode_text
 from igtl_gateway.wire.layout import Field, Layout, compile_struct, offset_of
@@ -85,7 +86,7 @@ class Header:
     def unpack(cls, data: Buffer) -> Header:
         """Return the header at the start of ``data``.  Raises TruncatedMessage below 58 bytes."""
         if len(data) < HEADER_SIZE:
-            raise TruncatedMessage("header", f"{len(data)} bytes", f"{HEADER_SIZE} bytes")
+            raise TruncatedMessage("header", counted(len(data), "byte"), f"{HEADER_SIZE} bytes")
         version, kind, device, ticks, size, crc = _HEADER.unpack_from(data)
         return cls(version, decode_text(kind), decode_text(device), ticks, size, crc)
 

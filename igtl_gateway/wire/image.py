@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.body import describe_crc, describe_values
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
@@ -117,7 +118,7 @@ class Image:
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
         if content.nbytes < HEAD_SIZE:
-            raise TruncatedMessage("IMAGE content", f"{content.nbytes} bytes", f"at least {HEAD_SIZE} bytes")
+            raise TruncatedMessage("IMAGE content", counted(content.nbytes, "byte"), f"at least {HEAD_SIZE} bytes")
         version, components, scalar, endian, coordinate, *dims = cls._HEAD.unpack_from(content)
         matrix = unpack_floats(cls._MATRIX, content, cls._HEAD.size)
         sub = cls._SUB.unpack_from(content, cls._HEAD.size + cls._MATRIX.size)
@@ -152,7 +153,11 @@ class Image:
                 )
         found, expected = memoryview(self.pixels).nbytes, self.expected_bytes
         if found != expected:
-            raise MalformedBody("IMAGE pixels", f"{found} bytes", f"{expected} bytes for {self.sub_size}{self._hint}")
+            raise MalformedBody(
+                "IMAGE pixels",
+                counted(found, "byte"),
+                f"{counted(expected, 'byte')} for {self.sub_size}{self._hint}",
+            )
 
     @property
     def _needs_no_order(self) -> bool:

@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import ChecksumMismatch, MalformedBody, TruncatedMessage, WireError
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.stamp import fraction_to_ns
 from igtl_gateway.base.values import value
 from igtl_gateway.wire.body import Body
@@ -129,7 +130,7 @@ def decode(data: Buffer, *, check_crc: bool = True) -> Message:
         raise explained(MalformedBody("header, version", header.version, "1 or 2"), header, body, body)
     if body.nbytes != header.body_size:
         error = TruncatedMessage if body.nbytes < header.body_size else MalformedBody
-        raise error(f"{visible(header.type)} body", f"{body.nbytes} bytes", f"{header.body_size} bytes")
+        raise error(f"{visible(header.type)} body", counted(body.nbytes, "byte"), counted(header.body_size, "byte"))
     if check_crc and (wrong := _checksum_mismatch(header, body)):
         raise wrong
     try:
@@ -204,7 +205,7 @@ class ExtendedHeader:
     def unpack(cls, body: memoryview) -> ExtendedHeader:
         """From the start of a body; every size is checked against the body."""
         if body.nbytes < _EXTENDED.size:
-            raise TruncatedMessage("extended header", f"{body.nbytes} bytes", f"{_EXTENDED.size} bytes")
+            raise TruncatedMessage("extended header", counted(body.nbytes, "byte"), f"{_EXTENDED.size} bytes")
         extended = cls(*_EXTENDED.unpack_from(body))
         if extended.ext_header_size < _EXTENDED.size:
             raise MalformedBody(
@@ -212,10 +213,16 @@ class ExtendedHeader:
             )
         total = extended.ext_header_size + extended.metadata_header_size + extended.metadata_size
         if total > body.nbytes:
-            raise MalformedBody("extended header", f"sizes of {total} bytes", f"at most the body, {body.nbytes} bytes")
+            raise MalformedBody(
+                "extended header",
+                f"sizes of {counted(total, 'byte')}",
+                f"at most the body, {counted(body.nbytes, 'byte')}",
+            )
         if extended.metadata_size > MAX_METADATA_ACCEPTED:
             raise MalformedBody(
-                "extended header, offset 4", f"{extended.metadata_size} bytes", f"at most {MAX_METADATA_ACCEPTED}"
+                "extended header, offset 4",
+                counted(extended.metadata_size, "byte"),
+                f"at most {MAX_METADATA_ACCEPTED}",
             )
         return extended
 
@@ -250,10 +257,14 @@ def _metadata(head: memoryview, data: memoryview) -> tuple[tuple[Item, ...], int
     if head.nbytes == 0 and data.nbytes == 0:
         return (), 0
     if head.nbytes < _COUNT.size:
-        raise TruncatedMessage("metadata header", f"{head.nbytes} bytes", f"at least {_COUNT.size}")
+        raise TruncatedMessage("metadata header", counted(head.nbytes, "byte"), f"at least {_COUNT.size}")
     (count,) = _COUNT.unpack_from(head)
     if head.nbytes < _COUNT.size + count * _ITEM.size:
-        raise MalformedBody("metadata header", f"{count} items in {head.nbytes} bytes", f"{_ITEM.size} bytes an item")
+        raise MalformedBody(
+            "metadata header",
+            f"{counted(count, 'item')} in {counted(head.nbytes, 'byte')}",
+            f"{_ITEM.size} bytes an item",
+        )
     _check_count(count)
     items = []
     offset = 0
@@ -262,7 +273,9 @@ def _metadata(head: memoryview, data: memoryview) -> tuple[tuple[Item, ...], int
         end = offset + key_size + value_size
         if end > data.nbytes:
             raise MalformedBody(
-                f"metadata item {index}", f"key and value up to byte {end}", f"at most {data.nbytes} bytes of metadata"
+                f"metadata item {index}",
+                f"key and value up to byte {end}",
+                f"at most {counted(data.nbytes, 'byte')} of metadata",
             )
         value_at = offset + key_size
         key = bytes(data[offset:value_at]).decode("utf-8", "surrogateescape")
@@ -273,7 +286,7 @@ def _metadata(head: memoryview, data: memoryview) -> tuple[tuple[Item, ...], int
 
 def _check_count(count: int) -> None:
     if count > MAX_ITEMS:
-        raise MalformedBody("metadata header", f"{count} items", f"at most {MAX_ITEMS}")
+        raise MalformedBody("metadata header", counted(count, "item"), f"at most {MAX_ITEMS}")
 
 
 def encode(message: Message) -> list[Buffer]:
@@ -331,12 +344,12 @@ def _pack_metadata(items: Sequence[Item]) -> tuple[bytes, bytes]:
     for item in items:
         key = item.key.encode("utf-8", "surrogateescape")
         if len(key) > 0xFFFF:
-            raise MalformedBody("metadata key", f"{len(key)} bytes", "at most 65535 bytes")
+            raise MalformedBody("metadata key", counted(len(key), "byte"), "at most 65535 bytes")
         head.append(_ITEM.pack(len(key), item.encoding, len(item.value)))
         data += (key, item.value)
     packed = b"".join(data)
     if len(packed) > MAX_METADATA_SENT:
-        raise MalformedBody("metadata", f"{len(packed)} bytes", f"at most {MAX_METADATA_SENT} bytes")
+        raise MalformedBody("metadata", counted(len(packed), "byte"), f"at most {MAX_METADATA_SENT} bytes")
     return b"".join(head), packed
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from struct import Struct
 
 from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.base.quantities import counted
 
 #: Before the types and before the table of names.
 COUNT = Struct(">H")
@@ -17,7 +18,9 @@ MAX_NAME_TABLE = 65_535
 def need(content: memoryview, size: int, what: str) -> None:
     """Raise TruncatedMessage where ``content`` has fewer than ``size`` bytes."""
     if size > content.nbytes:
-        raise TruncatedMessage(what, f"{content.nbytes} bytes of content", f"at least {size} bytes")
+        raise TruncatedMessage(
+            what, f"{counted(content.nbytes, 'byte')} of content", f"at least {counted(size, 'byte')}"
+        )
 
 
 def read_count(content: memoryview, offset: int, what: str) -> int:
@@ -40,7 +43,7 @@ def read_names(content: memoryview, offset: int, count: int, place: str) -> tupl
     pieces = table.split(b"\x00")
     # the C++ library omits the padding in places; a last name without NUL is unambiguous, too
     if count and (len(pieces) < count or (len(pieces) == count and not pieces[-1])):
-        raise MalformedBody(f"{place} table of names", f"{table.count(0)} names", f"{count} names")
+        raise MalformedBody(f"{place} table of names", counted(table.count(0), "name"), counted(count, "name"))
     names = [piece.decode("utf-8", "surrogateescape") for piece in pieces[:count]]
     return names, None if pack_names(names) == table else table, start + size
 
@@ -50,7 +53,7 @@ def pack_names(names: Sequence[str]) -> bytes:
     table = b"".join(_terminated(names))
     table += bytes(len(table) % 2)
     if len(table) > MAX_NAME_TABLE:
-        raise MalformedBody("table of names", f"{len(table)} bytes", f"at most {MAX_NAME_TABLE} bytes")
+        raise MalformedBody("table of names", counted(len(table), "byte"), f"at most {MAX_NAME_TABLE} bytes")
     return table
 
 

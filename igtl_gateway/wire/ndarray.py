@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import ConversionError, MalformedBody, TruncatedMessage
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.body import describe_values
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
@@ -52,12 +53,14 @@ class NdArray:
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
         if content.nbytes < cls._HEAD.size:
-            raise TruncatedMessage("NDARRAY content", f"{content.nbytes} bytes", f"at least {cls._HEAD.size} bytes")
+            raise TruncatedMessage(
+                "NDARRAY content", counted(content.nbytes, "byte"), f"at least {cls._HEAD.size} bytes"
+            )
         scalar_type, dimensions = cls._HEAD.unpack_from(content)
         data_at = cls._HEAD.size + 2 * dimensions
         if content.nbytes < data_at:
             found = f"{content.nbytes - cls._HEAD.size} bytes"
-            raise TruncatedMessage("NDARRAY content, offset 2", found, f"{dimensions} sizes of 2 bytes")
+            raise TruncatedMessage("NDARRAY content, offset 2", found, f"{counted(dimensions, 'size')} of 2 bytes")
         size = struct.unpack_from(f">{dimensions}H", content, cls._HEAD.size)
         array = cls(scalar_type, size, content[data_at:])
         array.check()
@@ -73,7 +76,9 @@ class NdArray:
         found = memoryview(self.data).nbytes
         expected_bytes = math.prod(self.size) * np.dtype(NDARRAY_SCALARS[self.scalar_type]).itemsize
         if found != expected_bytes:
-            raise MalformedBody("NDARRAY data", f"{found} bytes", f"{expected_bytes} bytes for {self.size}")
+            raise MalformedBody(
+                "NDARRAY data", counted(found, "byte"), f"{counted(expected_bytes, 'byte')} for {self.size}"
+            )
 
     def pack(self) -> list[Buffer]:
         self.check()

@@ -25,6 +25,7 @@ import numpy.typing as npt
 
 from igtl_gateway.base.buffers import Buffer, join
 from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.fields import decode_text, visible
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
@@ -64,7 +65,7 @@ class Cells:
     def unpack(cls, place: str, count: int, content: memoryview, num_points: int) -> Self:
         """From ``content``; every count and index is checked.  Raises MalformedBody."""
         if content.nbytes % U4.itemsize:
-            raise MalformedBody(place, f"{content.nbytes} bytes", "a multiple of 4")
+            raise MalformedBody(place, counted(content.nbytes, "byte"), "a multiple of 4")
         data = np.frombuffer(content, U4)
         cells = cls(count, data)
         if not count and not len(data):
@@ -111,7 +112,9 @@ class Cells:
             position += sizes[position] + 1
         if position != end or len(starts) != self.count:
             raise MalformedBody(
-                place, f"{len(starts)} cells in {4 * position} bytes", f"{self.count} cells in {4 * end} bytes"
+                place,
+                f"{counted(len(starts), 'cell')} in {counted(4 * position, 'byte')}",
+                f"{counted(self.count, 'cell')} in {counted(4 * end, 'byte')}",
             )
         return np.array(starts, np.int64)
 
@@ -301,7 +304,9 @@ class PolyData:
             for name, count, size in zip(_SECTIONS, sizes[::2], sizes[1::2], strict=True)
         )
         if num_attributes > MAX_ATTRIBUTES:
-            raise MalformedBody("POLYDATA head, offset 36", f"{num_attributes} attributes", f"at most {MAX_ATTRIBUTES}")
+            raise MalformedBody(
+                "POLYDATA head, offset 36", counted(num_attributes, "attribute"), f"at most {MAX_ATTRIBUTES}"
+            )
         heads = take("attribute heads", cls._ATTRIBUTE.size * num_attributes)
         names_size = 0
         names = []
@@ -314,7 +319,9 @@ class PolyData:
         by_library = _has_size_of_library(table, take.left)
         for index, (kind, components, tuples) in enumerate(table):
             if tuples and not components:
-                raise MalformedBody(f"POLYDATA attribute {index}", f"{tuples} tuples of no components", "1 or more")
+                raise MalformedBody(
+                    f"POLYDATA attribute {index}", f"{counted(tuples, 'tuple')} of no components", "1 or more"
+                )
             padded = by_library and kind > NORMAL and components != _PADDED_TO
             data = take(f"data of attribute {index}", 4 * (_PADDED_TO if padded else components) * tuples)
             name = decode_text(names[index])
@@ -335,7 +342,7 @@ class PolyData:
                 if len(name) > MAX_ATTRIBUTE_NAME or b"\x00" in name:
                     raise MalformedBody("POLYDATA attribute name", repr(attribute.name), "at most 255 bytes, no NUL")
                 if not 0 <= attribute.components <= MAX_COMPONENTS:
-                    found = f"{attribute.components} components"
+                    found = counted(attribute.components, "component")
                     raise MalformedBody(f"POLYDATA attribute {attribute.name!r}", found, f"at most {MAX_COMPONENTS}")
                 heads += self._ATTRIBUTE.pack(attribute.type, attribute.components, attribute.tuples)
                 names += name + b"\x00"
@@ -390,7 +397,9 @@ class _ContentReader:
     def __call__(self, what: str, size: int) -> memoryview:
         left = self._content.nbytes - self._offset
         if size > left:
-            raise TruncatedMessage(f"POLYDATA {what}, offset {self._offset}", f"{left} bytes", f"{size} bytes")
+            raise TruncatedMessage(
+                f"POLYDATA {what}, offset {self._offset}", counted(left, "byte"), counted(size, "byte")
+            )
         self._offset += size
         return self._content[self._offset - size : self._offset]
 
@@ -405,5 +414,7 @@ class _ContentReader:
     def end(self) -> None:
         if self._offset != self._content.nbytes:
             raise MalformedBody(
-                "POLYDATA content", f"{self._content.nbytes} bytes", f"{self._offset} bytes by its own counts"
+                "POLYDATA content",
+                counted(self._content.nbytes, "byte"),
+                f"{counted(self._offset, 'byte')} by its own counts",
             )

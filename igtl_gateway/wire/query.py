@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 from igtl_gateway.base.buffers import Buffer, join
 from igtl_gateway.base.errors import MalformedBody
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.body import Body, Raw
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
@@ -31,7 +32,7 @@ _LONG_INTERVAL = Struct(">q")
 def _lengths(place: str, content: memoryview, *lengths: int) -> None:
     if content.nbytes not in lengths:
         wanted = " or ".join(map(str, lengths))
-        raise MalformedBody(f"{place} content", f"{content.nbytes} bytes", f"{wanted} bytes")
+        raise MalformedBody(f"{place} content", counted(content.nbytes, "byte"), f"{wanted} bytes")
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,7 +298,9 @@ def _read_children(place: str, content: memoryview, offset: int) -> tuple[Wanted
     types = [decode_text(kind) for (kind,) in _TYPE.iter_unpack(content[offset + COUNT.size : names_at])]
     names, _, end = read_names(content, names_at, count, place)
     if not end <= content.nbytes <= end + 1:  # a pad byte may stand outside the table
-        raise MalformedBody(f"{place} content", f"{content.nbytes} bytes", f"{end} bytes by its own sizes")
+        raise MalformedBody(
+            f"{place} content", counted(content.nbytes, "byte"), f"{counted(end, 'byte')} by its own sizes"
+        )
     return tuple(zip(types, names, strict=True))
 
 

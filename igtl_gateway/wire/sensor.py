@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
 from igtl_gateway.wire.traits import SHORT, Traits
@@ -61,18 +62,24 @@ class Sensor:
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
         if content.nbytes < cls._HEAD.size:
-            raise TruncatedMessage("SENSOR content", f"{content.nbytes} bytes", f"at least {cls._HEAD.size} bytes")
+            raise TruncatedMessage(
+                "SENSOR content", counted(content.nbytes, "byte"), f"at least {cls._HEAD.size} bytes"
+            )
         length, status, unit = cls._HEAD.unpack_from(content)
         expected = cls._HEAD.size + length * _VALUES.itemsize
         if content.nbytes != expected:
-            raise MalformedBody("SENSOR content", f"{content.nbytes} bytes", f"{expected} bytes for {length} values")
+            raise MalformedBody(
+                "SENSOR content",
+                counted(content.nbytes, "byte"),
+                f"{counted(expected, 'byte')} for {counted(length, 'value')}",
+            )
         return cls(np.frombuffer(content[cls._HEAD.size :], _VALUES), unit, status)
 
     def pack(self) -> list[Buffer]:
         try:
             head = self._HEAD.pack(len(self.values), self.status, self.unit)
         except struct.error as error:
-            found = f"{len(self.values)} values, status {self.status}, unit {self.unit}"
+            found = f"{counted(len(self.values), 'value')}, status {self.status}, unit {self.unit}"
             raise MalformedBody("SENSOR", found, f"at most {MAX_VALUES} values, 8 and 64 bits ({error})") from None
         # at most 2 KiB: one buffer is cheaper than a second one
         return [head + np.asarray(self.values, _VALUES).tobytes()]
@@ -118,7 +125,9 @@ def unit_word(prefix: int, parts: Sequence[tuple[int, int]]) -> int:
     Raises ValueError for more pairs, and for numbers that their bits cannot hold.
     """
     if not 0 <= prefix <= 0xF or len(parts) > _FACTORS:
-        raise ValueError(f"found prefix {prefix} and {len(parts)} units, expected 0 … 15 and at most {_FACTORS}")
+        raise ValueError(
+            f"found prefix {prefix} and {counted(len(parts), 'unit')}, expected 0 … 15 and at most {_FACTORS}"
+        )
     word = prefix << _PREFIX_AT
     for index, (unit, exponent) in enumerate(parts):
         if not (0 <= unit <= 0x3F and -_SIGN <= exponent < _SIGN):

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.base.long_text import decoded
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
@@ -70,7 +71,9 @@ class String:
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
         if content.nbytes < cls._HEAD.size:
-            raise TruncatedMessage("STRING content", f"{content.nbytes} bytes", f"at least {cls._HEAD.size} bytes")
+            raise TruncatedMessage(
+                "STRING content", counted(content.nbytes, "byte"), f"at least {cls._HEAD.size} bytes"
+            )
         encoding, size = cls._HEAD.unpack_from(content)
         if content.nbytes != cls._HEAD.size + size:
             raise MalformedBody(
@@ -80,7 +83,7 @@ class String:
 
     def pack(self) -> list[Buffer]:
         if len(self.data) > MAX_STRING_BYTES:
-            raise MalformedBody("STRING", f"{len(self.data)} bytes", f"at most {MAX_STRING_BYTES} bytes")
+            raise MalformedBody("STRING", counted(len(self.data), "byte"), f"at most {MAX_STRING_BYTES} bytes")
         return [self._HEAD.pack(self.encoding, len(self.data)) + self.data]
 
     @classmethod
@@ -132,7 +135,9 @@ class Status:
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
         if content.nbytes < cls._HEAD.size:
-            raise TruncatedMessage("STATUS content", f"{content.nbytes} bytes", f"at least {cls._HEAD.size} bytes")
+            raise TruncatedMessage(
+                "STATUS content", counted(content.nbytes, "byte"), f"at least {cls._HEAD.size} bytes"
+            )
         code, subcode, name = cls._HEAD.unpack_from(content)
         text = bytes(content[cls._HEAD.size :])
         ends_in_nul = text.endswith(b"\x00")

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import MalformedBody
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.values import value
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
@@ -33,7 +34,7 @@ class Transform:
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
         if content.nbytes != cls._MATRIX.size:
-            raise MalformedBody("TRANSFORM content", f"{content.nbytes} bytes", f"{cls._MATRIX.size} bytes")
+            raise MalformedBody("TRANSFORM content", counted(content.nbytes, "byte"), f"{cls._MATRIX.size} bytes")
         return cls(unpack_floats(cls._MATRIX, content))
 
     def pack(self) -> list[Buffer]:
@@ -87,7 +88,7 @@ class Position:
     def unpack(cls, content: memoryview) -> Self:
         form = _FORM_OF_SIZE.get(content.nbytes)
         if form is None:
-            raise MalformedBody("POSITION content", f"{content.nbytes} bytes", cls.LENGTHS)
+            raise MalformedBody("POSITION content", counted(content.nbytes, "byte"), cls.LENGTHS)
         values = unpack_floats(cls._FORMS[form], content)
         position, rotation = values[:3], values[3:]
         if form == "position_only":

@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import TruncatedMessage
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.body import describe_crc
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
@@ -92,7 +93,7 @@ class Video:
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
         if content.nbytes < _SIZE:
-            raise TruncatedMessage("VIDEO content", f"{content.nbytes} bytes", f"at least {_SIZE} bytes")
+            raise TruncatedMessage("VIDEO content", counted(content.nbytes, "byte"), f"at least {_SIZE} bytes")
         version, endian, codec, frame_type, coordinate, *size = cls._HEAD.unpack_from(content)
         matrix = unpack_floats(cls._MATRIX, content, cls._HEAD.size)
         sub = cls._SUB.unpack_from(content, cls._HEAD.size + cls._MATRIX.size)

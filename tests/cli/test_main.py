@@ -101,7 +101,7 @@ def test_a_recording_has_no_options_of_a_connection(capsys: pytest.CaptureFixtur
         (["record", "out.mcap"], "expected igtl-gateway bridge --record FILE"),
         (["play", "out.mcap"], "expected igtl-gateway replay FILE"),
         (["recrod", "out.mcap"], "did you mean 'bridge --record FILE'"),
-        (["paly", "out.mcap"], "did you mean 'replay'?"),
+        (["paly", "out.mcap"], "did you mean 'replay FILE'?"),
         (["key", "new"], "did you mean 'seal keys'?"),
         (["replay", "a.mcap", "--too", "igtl"], "arguments are required: --to; unrecognized arguments: --too"),
         (["seal", "a.mcap", "--kee", "a.key", "-o", "b.mcap"], "did you mean '--key'?"),

@@ -160,7 +160,7 @@ def test_a_slice_needs_one_output(capsys: pytest.CaptureFixture[str]) -> None:
         ("diff STAR STAR --streams TRANSFORM/* --streams Toool", "streams Toool: matches no recorded stream"),
         (
             "diff STAR STAR --streams Foo",
-            "streams: found 'Foo', expected a recorded stream: `igtl-gateway info` lists them",
+            "streams: found 'Foo', expected a recorded stream: igtl-gateway info",
         ),
         ("slice STAR -o OUT.mcap --streams Foo", "--streams: found 'Foo', expected a recorded stream"),
         (

@@ -362,7 +362,7 @@ def test_a_bridge_keeps_to_it(path: Path) -> None:
         with RawPeer(place["port"]) as first, RawPeer(place["port"]) as second:
             assert second.closed_by_peer() or first.closed_by_peer()
             told = bridge.wait_code("refused")
-            assert "1 clients are connected already" in json.dumps(told)
+            assert "1 client is connected already" in json.dumps(told)
         with RawPeer(place["port"]) as peer:
             bridge.wait_code("link_up", 2)
             peer.send(string("x" * 2000))

@@ -18,7 +18,7 @@ def test_it_begins_active_and_a_change_to_the_same_is_none() -> None:
     activity.refuse(entry())
     assert activity.change(False) == [], "what was refused stays counted"
     (found,) = activity.change(True)
-    assert "1 messages were refused" in found.text
+    assert "1 message was refused" in found.text
 
 
 def test_what_was_refused_is_reported_when_it_is_active_again() -> None:

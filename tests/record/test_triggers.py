@@ -179,7 +179,7 @@ def _joints(*positions: float) -> Entry:
     [
         ("position[1]", [_joints(0, 9), _joints(9, 0), _joints(0, 9)], [0, 2], ""),
         ("position[1]", [_joints(), _joints(0, 9)], [1], ""),  # without values, which may come later
-        ("position[1]", [_joints(9)], [], "'position' has 1 values"),
+        ("position[1]", [_joints(9)], [], "'position' has 1 value"),
         ("position", [_joints(9, 9)], [], "it is not a number"),
         ("posiiton[0]", [_joints(9)], [], "found no 'posiiton[0]'; did you mean 'position'"),
         ("header[0]", [_joints(9)], [], "'header' is not an array"),

@@ -19,7 +19,7 @@ def test_golden_bytes() -> None:
 @table(
     ("content", "error", "named"),
     [
-        (b"\x03", TruncatedMessage, "COLORT content: found 1 bytes, expected at least 2 bytes"),
+        (b"\x03", TruncatedMessage, "COLORT content: found 1 byte, expected at least 2 bytes"),
         (b"\x04\x03" + bytes(256), MalformedBody, "offset 0, index type: found 4, expected one of [3, 5]"),
         (b"\x03\x04" + bytes(256), MalformedBody, "offset 1, map type: found 4, expected one of [3, 5, 19]"),
         (b"\x03\x03" + bytes(255), MalformedBody, "COLORT table: found 255 bytes, expected 256 bytes"),

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from igtl_gateway.base.errors import MessageTooLarge
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.wire.framer import Framer
 from igtl_gateway.wire.header import DEFAULT_MAX_BODY, HEADER_SIZE
 from tests.tables import table
@@ -130,7 +131,7 @@ def test_too_large(size: int, piece: int) -> None:
     assert in_pieces(framer, message(1000), [piece]) == [message(1000)]
     with pytest.raises(MessageTooLarge) as caught:
         in_pieces(framer, header(size) + b"more", [piece])
-    assert caught.value.found == f"{size} bytes"
+    assert caught.value.found == counted(size, "byte")
     assert framer.pending_head() == header(size)
     for call in (framer.buffer, lambda: framer.received(0), lambda: framer.feed(message(0))):
         with pytest.raises(MessageTooLarge):
@@ -168,5 +169,7 @@ def test_the_longest_body_may_depend_on_the_type() -> None:
         framer = Framer(1_000, rows)
         assert framer.feed(header(limit, name) + bytes(limit)) == [header(limit, name) + bytes(limit)]
         for _ in range(2):
-            with pytest.raises(MessageTooLarge, match=f"found {limit + 1} bytes, expected at most {limit} bytes"):
+            with pytest.raises(
+                MessageTooLarge, match=f"found {counted(limit + 1, 'byte')}, expected at most {counted(limit, 'byte')}"
+            ):
                 framer.feed(header(limit + 1, name))

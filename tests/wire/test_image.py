@@ -10,6 +10,7 @@ import pytest
 
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.wire.image import HEAD_SIZE, SCALARS, Image
 from tests.tables import table
 from tests.wire.contents import check_golden, f32
@@ -126,7 +127,7 @@ def test_advice_is_for_slicer_only() -> None:
 @pytest.mark.parametrize("size", [0, 71])
 def test_the_head_is_cut_off(size: int) -> None:
     assert HEAD_SIZE == 72
-    with pytest.raises(TruncatedMessage, match=f"found {size} bytes, expected at least 72 bytes"):
+    with pytest.raises(TruncatedMessage, match=f"found {counted(size, 'byte')}, expected at least 72 bytes"):
         Image.unpack(content()[:size])
 
 

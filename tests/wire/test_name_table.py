@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.wire.name_table import MAX_NAME_TABLE, need, pack_names, read_count, read_names
 from tests.tables import table
 
@@ -64,19 +65,19 @@ def test_another_spelling_is_kept_as_it_was(count: int, data: bytes, names: list
 
 @table(
     ("count", "data", "found"),
-    [(3, b"a\0b\0", "2 names"), (2, b"a\0", "1 names"), (1, b"", "0 names"), (3, b"a\0b", "1 names")],
+    [(3, b"a\0b\0", "2 names"), (2, b"a\0", "1 name"), (1, b"", "0 names"), (3, b"a\0b", "1 name")],
 )
 def test_fewer_names_than_children(count: int, data: bytes, found: str) -> None:
     with pytest.raises(MalformedBody) as error:
         read(sized(data), count)
-    assert str(error.value) == f"BIND table of names: found {found}, expected {count} names"
+    assert str(error.value) == f"BIND table of names: found {found}, expected {counted(count, 'name')}"
 
 
 @table(
     ("content", "named"),
     [
         (b"", "BIND table of names: found 0 bytes of content, expected at least 2 bytes"),
-        (b"\0", "found 1 bytes of content, expected at least 2 bytes"),
+        (b"\0", "found 1 byte of content, expected at least 2 bytes"),
         (b"\0\5a\0b\0", "found 6 bytes of content, expected at least 7 bytes"),
         (b"\xff\xff", "found 2 bytes of content, expected at least 65537 bytes"),
     ],

@@ -24,7 +24,7 @@ def test_golden_bytes() -> None:
 @table(
     ("content", "error", "named"),
     [
-        (b"\x03", TruncatedMessage, "NDARRAY content: found 1 bytes, expected at least 2 bytes"),
+        (b"\x03", TruncatedMessage, "NDARRAY content: found 1 byte, expected at least 2 bytes"),
         (b"\x03\x02\0\1\0", TruncatedMessage, "offset 2: found 3 bytes, expected 2 sizes of 2 bytes"),
         (b"\x03\xff", TruncatedMessage, "found 0 bytes, expected 255 sizes of 2 bytes"),
         (b"\x03\0", MalformedBody, "offset 1, dimensions: found 0, expected 1 … 255"),
@@ -35,8 +35,8 @@ def test_golden_bytes() -> None:
             "offset 0, scalar type: found 1, expected one of [2, 3, 4, 5, 6, 7, 10, 11, 13]",
         ),
         (b"\x08\1\0\1x", MalformedBody, "scalar type: found 8"),
-        (b"\x03\1\0\2x", MalformedBody, "NDARRAY data: found 1 bytes, expected 2 bytes for (2,)"),
-        (b"\x03\1\0\1xx", MalformedBody, "found 2 bytes, expected 1 bytes"),
+        (b"\x03\1\0\2x", MalformedBody, "NDARRAY data: found 1 byte, expected 2 bytes for (2,)"),
+        (b"\x03\1\0\1xx", MalformedBody, "found 2 bytes, expected 1 byte"),
         (b"\x0d\1\0\1" + bytes(8), MalformedBody, "expected 16 bytes"),
         (b"\x0b\4" + b"\xff" * 8, MalformedBody, str(65535**4 * 8)),  # 2⁶⁷: no machine word holds it
     ],
@@ -54,7 +54,7 @@ def test_bad_contents(content: bytes, error: type[WireError], named: str) -> Non
         (NdArray(1, (1,), b"x"), "scalar type: found 1"),
         (NdArray(3, (), b"x"), "dimensions: found 0"),
         (NdArray(3, (1,) * 256, b"x"), "dimensions: found 256, expected 1 … 255"),
-        (NdArray(3, (2,), b"x"), "found 1 bytes, expected 2 bytes"),
+        (NdArray(3, (2,), b"x"), "found 1 byte, expected 2 bytes"),
         (NdArray(3, (65536,), bytes(65536)), "size (65536,), expected 0 … 65535 each"),
         (NdArray(3, (-1, -1), b"x"), "size (-1, -1), expected 0 … 65535 each"),
     ],

@@ -256,7 +256,7 @@ def test_golden_bytes() -> None:
         (b"", TruncatedMessage, "at least 10"),
         (bytes(9), TruncatedMessage, "9 bytes"),
         (b"\x02" + bytes(17), MalformedBody, "26 bytes for 2 values"),
-        (b"\x01" + bytes(18), MalformedBody, "18 bytes for 1 values"),
+        (b"\x01" + bytes(18), MalformedBody, "18 bytes for 1 value"),
         (b"\xff" * 100, MalformedBody, "2050 bytes for 255 values"),
     ],
 )

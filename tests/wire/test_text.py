@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.wire.text import CODECS, CODES, MAX_STRING_BYTES, Status, String, mib_of, text_of
 from tests.wire.contents import check_golden
 
@@ -89,7 +90,9 @@ def test_a_string_of_bytes_that_are_no_text_keeps_them() -> None:
 
 @pytest.mark.parametrize("size", [0, 1, 3])
 def test_the_head_of_a_string_is_cut_off(size: int) -> None:
-    with pytest.raises(TruncatedMessage, match=f"STRING content: found {size} bytes, expected at least 4 bytes"):
+    with pytest.raises(
+        TruncatedMessage, match=f"STRING content: found {counted(size, 'byte')}, expected at least 4 bytes"
+    ):
         String.unpack(memoryview(bytes(size)))
 
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.errors import MalformedBody
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.transform import Position, Transform, pack_floats, unpack_floats
 from tests import strategies
@@ -60,10 +61,10 @@ def test_other_lengths(size: int) -> None:
     content = memoryview(bytes(size))
     with pytest.raises(MalformedBody) as of_position:
         Position.unpack(content)
-    assert str(of_position.value) == f"POSITION content: found {size} bytes, expected 28, 24 or 12 bytes"
+    assert str(of_position.value) == f"POSITION content: found {counted(size, 'byte')}, expected 28, 24 or 12 bytes"
     with pytest.raises(MalformedBody) as of_transform:
         Transform.unpack(content)
-    assert str(of_transform.value) == f"TRANSFORM content: found {size} bytes, expected 48 bytes"
+    assert str(of_transform.value) == f"TRANSFORM content: found {counted(size, 'byte')}, expected 48 bytes"
 
 
 @given(st.tuples(*[strategies.any32] * 3))

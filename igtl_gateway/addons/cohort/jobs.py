@@ -20,8 +20,7 @@ from igtl_gateway.addon import (
     GatewayError,
     UnsupportedRecording,
     WireError,
-    did_you_mean,
-    near_streams,
+    streams_expected,
 )
 from igtl_gateway.addon.checking import (
     IMPORTED,
@@ -40,6 +39,7 @@ from igtl_gateway.addon.checking import (
 )
 from igtl_gateway.addon.processes import part_of
 from igtl_gateway.addon.reading import Kind, SessionFile, layout, marks_of, named
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addon.untrusted import cpu_time, files, limits
 from igtl_gateway.addons.cohort.ends import (
     BROKEN,
@@ -363,12 +363,13 @@ def _sync(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
     further: Sequence[Sequence[str]] = settings["pairs"]
     absent = [name for name in (*names, *(name for pair in further for name in pair)) if name not in recording]
     if absent:
-        question = did_you_mean(near_streams(absent[0], recording))
-        expected = f"expected it by --stream or --pair{question and f'; {question}'}"
+        expected = f"by --stream or --pair {streams_expected(absent[:1], recording, file.path)}"
         raise ConfigError(f"{file.path}: found no stream {absent[0]!r}, {expected}")
     signals = [movement(recording[name]) for name in names] if names else movements([recording], unreadable=WireError)
     if len(signals) < 2:
-        raise GatewayError(f"{file.path}: found {len(signals)} streams in which something could move, expected two")
+        raise GatewayError(
+            f"{file.path}: found {counted(len(signals), 'stream')} in which something could move, expected two"
+        )
     fixed, *others = signals
     pairs = [(movement(recording[one]), movement(recording[other])) for one, other in further]
     rows = []

@@ -15,6 +15,7 @@ from typing import Any
 from igtl_gateway.addon import ConfigError, Unavailable
 from igtl_gateway.addon.processes import extras
 from igtl_gateway.addon.reading import RangeFile
+from igtl_gateway.addon.terminal import counted
 
 #: Bytes of one request for small reads.
 BLOCK = 64 << 10
@@ -98,7 +99,9 @@ class ObjectFile(RangeFile):
         if facts["size"] != self._size or (self._tag and facts.get("e_tag") != self._tag):
             raise self._changed()
         if len(data) != count:
-            raise Unreachable(f"{self._url}: found {len(data)} bytes at {start}, expected {count}; run again")
+            raise Unreachable(
+                f"{self._url}: found {counted(len(data), 'byte')} at {start}, expected {count}; run again"
+            )
         return data
 
     def _changed(self) -> Unreachable:

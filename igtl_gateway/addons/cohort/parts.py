@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from igtl_gateway.addon import ConfigError, GatewayError
+from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addon.untrusted import files, parse_json
 from igtl_gateway.addons.cohort.columns import SCHEMA_VERSION
 
@@ -49,7 +50,7 @@ def parts_of(folder: Path) -> Parts:
     if not isinstance(names, list) or not all(isinstance(each, str) and _NAME.fullmatch(each) for each in names):
         raise ConfigError(f"{manifest}: found parts {names!r}, expected a list of numbers")
     if len(names) > _MOST:
-        raise ConfigError(f"{manifest}: found {len(names):,} parts, expected at most {_MOST:,}")
+        raise ConfigError(f"{manifest}: found {count_text(len(names), 'part')}, expected at most {_MOST:,}")
     return Parts(names, joined=found.get("joined") is True and len(names) == 1)
 
 

@@ -7,7 +7,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 from igtl_gateway.addon import NS_PER_S, Clock, Self, SystemClock
-from igtl_gateway.addon.terminal import clear_live_line, is_terminal, live_line, print_line
+from igtl_gateway.addon.terminal import clear_live_line, count_text, is_terminal, live_line, print_line
 
 if TYPE_CHECKING:
     from igtl_gateway.addons.cohort.running import RunSummary
@@ -69,7 +69,7 @@ def state_line(summary: RunSummary, seconds: float, columns: int = 80) -> str:
     left = f", {duration((files - done) / rate)} left" if rate > 0 else ""
     failed = f", {summary.failed:,} without result" if summary.failed else ""
     bar = f"[{'#' * filled}{'.' * (long - filled)}] " if long else ""
-    return f"{bar}{done:,} of {files:,} files, {rate:,.1f}/s{left}{failed}"
+    return f"{bar}{done:,} of {count_text(files, 'file')}, {rate:,.1f}/s{left}{failed}"
 
 
 def duration(seconds: float) -> str:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.addon import ConfigError, GatewayError, Unavailable
 from igtl_gateway.addon.processes import extras
+from igtl_gateway.addon.terminal import count_text, counted
 from igtl_gateway.addon.untrusted import limits
 from igtl_gateway.addon.writing import open_new
 from igtl_gateway.addons.cohort.columns import RENAMED
@@ -109,7 +110,7 @@ class Questions:
     def _asked(self, sql: str) -> Iterator[Any]:
         """Context manager: the question; its time and memory are bounded, those of the answer by who reads it."""
         if len(sql) > _LONGEST:  # the memory of the parser grows with the levels of brackets
-            raise ConfigError(f"query: found {len(sql):,} characters, expected at most {_LONGEST:,}")
+            raise ConfigError(f"query: found {count_text(len(sql), 'character')}, expected at most {_LONGEST:,}")
         bounds = limits.current_limits()
         over = threading.Timer(bounds.seconds, self._connection.interrupt)
         over.start()
@@ -120,14 +121,16 @@ class Questions:
                 raise ConfigError(f"query: found {', '.join(kinds) or 'no statement'}, expected one SELECT")
             found = self._connection.sql(statements[0])
             if len(found.columns) > _MOST_COLUMNS:
-                raise ConfigError(f"query: found {len(found.columns):,} columns, expected at most {_MOST_COLUMNS:,}")
+                raise ConfigError(
+                    f"query: found {count_text(len(found.columns), 'column')}, expected at most {_MOST_COLUMNS:,}"
+                )
             yield found
         except self._errors as error:
             match type(error).__name__:
                 case "InterruptException":
                     raise limits.exceeded("seconds", "a longer question", "query", f"{bounds.seconds} s") from None
                 case "OutOfMemoryException":
-                    raise limits.exceeded("memory", "more memory", "query", f"{bounds.memory} bytes") from None
+                    raise limits.exceeded("memory", "more memory", "query", counted(bounds.memory, "byte")) from None
             raise ConfigError(f"query: {reason(error, self._tables.devices)}{_renamed(str(error))}") from None
         except (OverflowError, ValueError) as error:
             raise _no_value(error) from None

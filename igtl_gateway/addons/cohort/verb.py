@@ -16,6 +16,7 @@ from igtl_gateway.addon.terminal import (
     aligned,
     command,
     count_text,
+    counted,
     default,
     output_file,
     print_json,
@@ -130,7 +131,7 @@ def _run(options: argparse.Namespace) -> int:
 
 def _run_query(options: argparse.Namespace) -> int:
     if len(options.sources) != 1:
-        raise ConfigError(f"cohort query: found {len(options.sources)} arguments, expected one: the SQL")
+        raise ConfigError(f"cohort query: found {counted(len(options.sources), 'argument')}, expected one: the SQL")
     from igtl_gateway.addons.cohort.query import asking, of_table, write_answer
 
     [sql] = options.sources

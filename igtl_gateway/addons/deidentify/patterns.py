@@ -14,6 +14,7 @@ import sys
 import threading
 
 from igtl_gateway.addon import ConfigError, GatewayError
+from igtl_gateway.addon.terminal import count_text
 
 #: Seconds for one text.
 MOST_S = 5.0
@@ -54,7 +55,8 @@ def replaced(pattern: str, by: str, text: str) -> str:
         process.communicate()
     if late.is_set():
         raise ConfigError(
-            f"text: pattern {pattern!r}: found text of {len(text):,} characters that takes more than {MOST_S:g} s, "
+            f"text: pattern {pattern!r}: found text of {count_text(len(text), 'character')} that takes more than "
+            f"{MOST_S:g} s, "
             "expected a pattern without repetitions of repetitions, such as (a+)+"
         )
     raise GatewayError(f"text: pattern {pattern!r}: found an end of the process that replaces text")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import ConfigError, matches
+from igtl_gateway.addon import ConfigError, matches, one_of
 from igtl_gateway.addon.settings import read_toml
 from igtl_gateway.addons.deidentify.masks import Fan, Mask, Rectangle
 from igtl_gateway.addons.deidentify.patterns import replaced
@@ -186,7 +186,7 @@ def _string(place: str, found: Any) -> str:
 def _known(place: str, table: Mapping[str, Any], names: tuple[str, ...]) -> None:
     for name in table:
         if name not in names:
-            raise ConfigError(f"{place}{name}: unknown, expected one of {', '.join(names)}")
+            raise ConfigError(f"{place}{name}: unknown, expected {one_of(name, names)}")
 
 
 def _wrong(place: str, found: Any, expected: str) -> ConfigError:

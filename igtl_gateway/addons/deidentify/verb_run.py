@@ -7,12 +7,7 @@ import os
 from pathlib import Path
 
 from igtl_gateway.addon import NS_PER_S, ConfigError, UnsupportedRecording
-from igtl_gateway.addon.terminal import (
-    aligned,
-    count_text,
-    print_json,
-    print_line,
-)
+from igtl_gateway.addon.terminal import aligned, count_text, counted, print_json, print_line
 from igtl_gateway.addon.untrusted import is_same, read_bytes
 from igtl_gateway.addon.writing import check_target
 from igtl_gateway.addons.deidentify.profile import BASIC, read_profile
@@ -51,7 +46,7 @@ def _key(path: Path | None) -> bytes:
     except UnsupportedRecording as error:
         raise ConfigError(f"--secret: {error}") from None
     if len(key) < MIN_KEY_BYTES:
-        raise ConfigError(f"--secret: {path}: found {len(key)} bytes, expected at least {MIN_KEY_BYTES}")
+        raise ConfigError(f"--secret: {path}: found {counted(len(key), 'byte')}, expected at least {MIN_KEY_BYTES}")
     return key
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from igtl_gateway.addon import NS_PER_MS, DamagedRecording, MessageTooLarge, UnsupportedRecording
 from igtl_gateway.addon.igtl import DEVICE_NAME_AT, HEADER_SIZE, HEADER_VERSIONS, Framer, Header
 from igtl_gateway.addon.reading import Buffer
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addon.untrusted import files
 from igtl_gateway.addons.exchange.sequence import DEFAULT_EPOCH_NS
 from igtl_gateway.addons.exchange.source import (
@@ -81,9 +82,9 @@ class Capture(NonRosSource):
                 yield from framer.feed(data)
             yield from framer.received(0)  # raises if the last bytes begin a message that is too large
         except MessageTooLarge as error:
-            raise DamagedRecording(f"{self._path}: after {self._row.taken} bytes: {error}") from None
+            raise DamagedRecording(f"{self._path}: after {counted(self._row.taken, 'byte')}: {error}") from None
         if framer.pending:
-            self._row.why = f"ends inside a message, after {framer.pending} bytes of it"
+            self._row.why = f"ends inside a message, after {counted(framer.pending, 'byte')} of it"
 
     def close(self) -> None:
         """Close the file."""

@@ -151,7 +151,7 @@ def open_source(path: Path, epoch_ns: int | None = None) -> Source:
     Raises UnsupportedRecording (no such file, unknown or unsupported format) or DamagedRecording.
     """
     if not path.exists():
-        raise NoSuchRecording(f"{path}: no such file")
+        raise NoSuchRecording(f"{path}: no such file{files.near_file(path)}")
     if path.is_dir():
         if is_bag(path):
             return Rosbag2(path)

@@ -15,6 +15,7 @@ from typing import BinaryIO
 import numpy as np
 
 from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addon.untrusted import files, limits
 
 HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -155,7 +156,9 @@ class _Hdf5:
             )
         dtype = np.dtype(f"<f{kind[4]}")
         if size != count * dtype.itemsize:
-            raise DamagedRecording(f"{self._where}: byte {address}: found {size} bytes, expected {count} numbers")
+            raise DamagedRecording(
+                f"{self._where}: byte {address}: found {counted(size, 'byte')}, expected {counted(count, 'number')}"
+            )
         return np.frombuffer(self._bytes(place, size), dtype).astype(float).tolist()
 
     def _text(self, address: int) -> str:
@@ -183,12 +186,14 @@ class _Hdf5:
     def _bytes(self, at: int, size: int) -> bytes:
         if at + size > self._size:
             raise DamagedRecording(
-                f"{self._where}: byte {at}: found the end of the file at {self._size}, expected {size} bytes"
+                f"{self._where}: byte {at}: found the end of the file at {self._size}, expected {counted(size, 'byte')}"
             )
         self._stream.seek(at)
         return self._stream.read(size)
 
     def _whole(self, data: bytes, size: int) -> bytes:
         if len(data) < size:
-            raise DamagedRecording(f"{self._where}: found {len(data)} bytes of a header message, expected {size}")
+            raise DamagedRecording(
+                f"{self._where}: found {counted(len(data), 'byte')} of a header message, expected {size}"
+            )
         return data

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addon.untrusted import files, limits
 from igtl_gateway.addons.exchange.itk_hdf5 import HDF5, read_hdf5
 
@@ -75,7 +76,9 @@ def read_transform(path: Path) -> tuple[str, Array]:
     kind = _kind(first, str(path))
     if kind != _COMPOSITE:
         if others:
-            raise UnsupportedRecording(f"{path}: found {len(found)} transforms, expected one, or one {_COMPOSITE}")
+            raise UnsupportedRecording(
+                f"{path}: found {counted(len(found), 'transform')}, expected one, or one {_COMPOSITE}"
+            )
         return kind, _matrix(first, kind, str(path))
     placed = np.eye(4)
     for number, each in enumerate(others, 1):
@@ -127,9 +130,9 @@ def _matrix(transform: ItkTransform, kind: str, where: str) -> Array:
     count, build = _KINDS[kind]
     parameters, fixed = transform.parameters, transform.fixed
     if len(parameters) != count:
-        raise DamagedRecording(f"{where}: {kind}: found {len(parameters)} parameters, expected {count}")
+        raise DamagedRecording(f"{where}: {kind}: found {counted(len(parameters), 'parameter')}, expected {count}")
     if fixed and len(fixed) < 3:
-        raise DamagedRecording(f"{where}: {kind}: found {len(fixed)} fixed parameters, expected 3")
+        raise DamagedRecording(f"{where}: {kind}: found {counted(len(fixed), 'fixed parameter')}, expected 3")
     if not all(map(math.isfinite, [*parameters, *fixed])):
         raise DamagedRecording(f"{where}: {kind}: found a number that is not finite, expected finite ones")
     rows, shift = build(parameters, fixed)
@@ -287,7 +290,7 @@ def _of_mat(data: bytes, where: str) -> Iterator[ItkTransform]:
     while at < len(data):
         if at + _MAT.size > len(data):
             raise DamagedRecording(
-                f"{where}: byte {at}: found {len(data) - at} bytes, expected a header of {_MAT.size}"
+                f"{where}: byte {at}: found {counted(len(data) - at, 'byte')}, expected a header of {_MAT.size}"
             )
         kind, rows, columns, imaginary, width = _MAT.unpack_from(data, at)
         if kind not in _MAT_TYPES or imaginary or not (0 <= rows and 0 <= columns and 0 < width < 256):
@@ -297,13 +300,16 @@ def _of_mat(data: bytes, where: str) -> Iterator[ItkTransform]:
         start = at + _MAT.size + width
         if start + size > len(data):
             raise DamagedRecording(
-                f"{where}: byte {at}: found {len(data) - start} bytes, expected {rows} by {columns} numbers"
+                f"{where}: byte {at}: found {counted(len(data) - start, 'byte')}, expected {rows} by "
+                f"{counted(columns, 'number')}"
             )
         name = data[at + _MAT.size : start].rstrip(b"\0").decode("ascii", "replace")
         matrices.append((name, np.frombuffer(data, dtype, rows * columns, start).astype(float).tolist()))
         limits.check_limit("fields", len(matrices), f"{where}: matrices")
         at = start + size
     if len(matrices) % 2 or any(name != "fixed" for name, _ in matrices[1::2]):
-        raise DamagedRecording(f"{where}: found {len(matrices)} matrices, expected pairs of a transform and 'fixed'")
+        raise DamagedRecording(
+            f"{where}: found {counted(len(matrices), 'matrix', 'matrices')}, expected pairs of a transform and 'fixed'"
+        )
     for (name, parameters), (_, fixed) in zip(matrices[::2], matrices[1::2], strict=True):
         yield ItkTransform(name, parameters, fixed)

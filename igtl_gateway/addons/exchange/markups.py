@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addon.untrusted import files, limits, parse_json
 
 FCSV = b"# Markups fiducial file"
@@ -200,9 +201,9 @@ def _colour(display: Any, where: str) -> tuple[int, int, int, int]:
 
 def _numbers(found: Any, count: int, where: str) -> list[float]:
     if not isinstance(found, list) or len(found) != count:
-        raise DamagedRecording(f"{where}: found {_shown(found)}, expected {count} numbers")
+        raise DamagedRecording(f"{where}: found {_shown(found)}, expected {counted(count, 'number')}")
     if any(isinstance(value, bool) or not isinstance(value, (int, float)) for value in found):
-        raise DamagedRecording(f"{where}: found {_shown(found)}, expected {count} numbers")
+        raise DamagedRecording(f"{where}: found {_shown(found)}, expected {counted(count, 'number')}")
     return _finite([float(value) for value in found], where)
 
 

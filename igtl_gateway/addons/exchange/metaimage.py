@@ -15,6 +15,7 @@ from typing import BinaryIO
 
 from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
 from igtl_gateway.addon.streams import ImagePlacement
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addon.untrusted import files, limits
 from igtl_gateway.addons.exchange.header import Frames, ImageFile, ImageFileHeader, header_lines
 from igtl_gateway.addons.exchange.raster import (
@@ -115,7 +116,7 @@ def _roles(fields: dict[str, str], frames: Frames, sizes: list[int], where: str,
         if len(kinds) != len(sizes) or not {kind.lower() for kind in kinds} <= _KINDS.keys():
             raise DamagedRecording(
                 f"{where}: Kinds: found {' '.join(kinds)[:60]!r}, expected one of {', '.join(_KINDS)} "
-                f"for each of {len(sizes)} axes"
+                f"for each of {counted(len(sizes), 'axis', 'axes')}"
             )
         roles = [_KINDS[kind.lower()] for kind in kinds]
         if not frames and roles == [SPACE, SPACE, FRAME] and sizes[2] > 1:
@@ -185,7 +186,7 @@ def _floats(fields: dict[str, str], keys: tuple[str, ...], count: int, where: st
     key = next((key for key in keys if key in fields), "")
     values = [parse_number(word, key, where) for word in fields.get(key, "").split()]
     if values and len(values) < count:
-        raise DamagedRecording(f"{where}: {key}: found {len(values)} numbers, expected {count}")
+        raise DamagedRecording(f"{where}: {key}: found {counted(len(values), 'number')}, expected {count}")
     return values
 
 
@@ -224,7 +225,9 @@ def _times(fields: dict[str, str], roles: list[str], count: int, where: str) -> 
     unit, label = fields.get("NRRD_units[3]", ""), fields.get("NRRD_labels[3]", "")
     if values and (unit == "s" or (not unit and label == "time")):
         if len(values) != count:
-            raise DamagedRecording(f"{where}: axis 3 index values: found {len(values)} numbers, expected {count}")
+            raise DamagedRecording(
+                f"{where}: axis 3 index values: found {counted(len(values), 'number')}, expected {count}"
+            )
         return tuple(parse_finite(value, "axis 3 index values", where) for value in values)
     step = (_floats(fields, _SPACING, len(roles), where) or [0.0] * len(roles))[roles.index(FRAME)]
     if not MIN_STEP_S <= step < MAX_STEP_S or count > limits.current_limits().count:

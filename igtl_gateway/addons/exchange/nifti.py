@@ -19,6 +19,7 @@ from igtl_gateway.addon import DamagedRecording, Unavailable, UnsupportedRecordi
 from igtl_gateway.addon.messages import millimetres
 from igtl_gateway.addon.processes import missing
 from igtl_gateway.addon.streams import ImagePlacement
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addon.untrusted import limits
 from igtl_gateway.addons.exchange.header import ImageFile
 from igtl_gateway.addons.exchange.raster import (
@@ -74,7 +75,9 @@ def read_nifti(path: Path, stream: BinaryIO) -> ImageFile:
     while len(shape) > 3 and shape[-1] == 1:
         shape.pop()
     if len(shape) > len(_ROLES):
-        raise UnsupportedRecording(f"{where}: dim: found {len(shape)} axes, expected at most {len(_ROLES)}")
+        raise UnsupportedRecording(
+            f"{where}: dim: found {counted(len(shape), 'axis', 'axes')}, expected at most {len(_ROLES)}"
+        )
     roles = list(_ROLES[: len(shape)])
     components, dtype = _dtype(header, where)
     if components > 1:
@@ -120,9 +123,11 @@ def _header(start: bytes, where: str) -> tuple[Any, str]:
             kind = Nifti1Header if version == 1 else Nifti2Header
             header = kind(start[:size], endianness=name, check=False)
             if not 2 <= int(header["dim"][0]) <= 7:
-                raise DamagedRecording(f"{where}: dim: found {int(header['dim'][0])} axes, expected 2 … 7")
+                raise DamagedRecording(
+                    f"{where}: dim: found {counted(int(header['dim'][0]), 'axis', 'axes')}, expected 2 … 7"
+                )
             return header, order
-    raise DamagedRecording(f"{where}: found a header of {len(start)} bytes, expected sizeof_hdr 348 or 540")
+    raise DamagedRecording(f"{where}: found a header of {counted(len(start), 'byte')}, expected sizeof_hdr 348 or 540")
 
 
 def _dtype(header: Any, where: str) -> tuple[int, str]:

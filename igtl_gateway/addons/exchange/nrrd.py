@@ -15,6 +15,7 @@ from typing import BinaryIO
 
 from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
 from igtl_gateway.addon.streams import ImagePlacement, Vector
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addon.untrusted import files, limits
 from igtl_gateway.addons.exchange.header import Frames, ImageFile, ImageFileHeader, header_lines
 from igtl_gateway.addons.exchange.raster import (
@@ -81,7 +82,7 @@ def read_nrrd(path: Path, stream: BinaryIO) -> ImageFile:
     sizes = [parse_whole(word, "sizes", where) for word in fields.get("sizes", "").split()[:17]]
     if not 2 <= len(sizes) <= 16 or fields.get("dimension", str(len(sizes))) != str(len(sizes)):
         raise DamagedRecording(
-            f"{where}: found {len(sizes)} sizes and dimension {fields.get('dimension', '')[:20]!r}, "
+            f"{where}: found {counted(len(sizes), 'size')} and dimension {fields.get('dimension', '')[:20]!r}, "
             "expected one size for each of 2 or more"
         )
     vectors = _vectors(fields, len(sizes), where)
@@ -132,7 +133,7 @@ def _vectors(fields: dict[str, str], count: int, where: str) -> list[list[float]
         return [None] * count
     found = list(_VECTOR.finditer(text))
     if len(found) != count:
-        raise DamagedRecording(f"{where}: space directions: found {len(found)} vectors, expected {count}")
+        raise DamagedRecording(f"{where}: space directions: found {counted(len(found), 'vector')}, expected {count}")
     vectors: list[list[float] | None] = []
     for match in found:
         values = [parse_number(word, "space directions", where) for word in (match[1] or "").split(",") if word.strip()]
@@ -145,7 +146,7 @@ def _roles(
 ) -> list[str]:
     kinds = fields.get("kinds", "").lower().split() or ["???"] * count
     if len(kinds) != count:
-        raise DamagedRecording(f"{where}: kinds: found {len(kinds)} words, expected {count}")
+        raise DamagedRecording(f"{where}: kinds: found {counted(len(kinds), 'word')}, expected {count}")
     directed = any(vector is not None for vector in vectors)
     roles = []
     for axis, (kind, vector) in enumerate(zip(kinds, vectors, strict=True)):
@@ -219,7 +220,8 @@ def _placement(
     count = dims.pop()
     if dims or not 2 <= count <= 4 or (origin and len(origin) != count):
         raise DamagedRecording(
-            f"{where}: found an origin of {len(origin)} numbers and directions of {count}, expected 2 … 4 for all"
+            f"{where}: found an origin of {counted(len(origin), 'number')} and directions of {count}, expected 2 … "
+            "4 for all"
         )
     if count == 4 and any(abs(vector[3]) > 1e-9 for vector in directions):
         raise UnsupportedRecording(
@@ -286,7 +288,7 @@ def _of_axes(fields: dict[str, str], name: str, spaces: list[int], count: int, w
     if not words:
         return []
     if len(words) != count:
-        raise DamagedRecording(f"{where}: {name}: found {len(words)} numbers, expected {count}")
+        raise DamagedRecording(f"{where}: {name}: found {counted(len(words), 'number')}, expected {count}")
     values = [parse_number(words[axis], name, where) for axis in spaces]
     return [] if any(map(math.isnan, values)) else values
 
@@ -309,7 +311,7 @@ def _times(
     if values and fields.get(f"axis {key} index type", "numeric") == "numeric":
         name = f"axis {key} index values"
         if len(values) != sizes[axis]:
-            raise DamagedRecording(f"{where}: {name}: found {len(values)} numbers, expected {sizes[axis]}")
+            raise DamagedRecording(f"{where}: {name}: found {counted(len(values), 'number')}, expected {sizes[axis]}")
         unit = fields.get(f"axis {axis} index unit", "") or _word(fields.get("units", ""), axis)
         label = _word(fields.get("labels", ""), axis)
         scale = _SECONDS.get(unit.lower(), 1.0 if "time" in label.lower() else 0.0)

@@ -25,6 +25,7 @@ from pathlib import Path
 from igtl_gateway.addon import MessageTooLarge
 from igtl_gateway.addon.igtl import HEADER_SIZE, Framer
 from igtl_gateway.addon.reading import Buffer
+from igtl_gateway.addon.terminal import by_count, counted
 from igtl_gateway.addons.exchange.capture import count_message, looks_like_igtl
 from igtl_gateway.addons.exchange.pcap_file import PacketFile
 from igtl_gateway.addons.exchange.pcap_segments import ACK, FIN, LINKS, RST, SYN, Address, Segment, Segments
@@ -163,16 +164,23 @@ class Pcap(NonRosSource):
             yield from self._close(connection, "the end of the file")
         if self._dropped:
             self.notes.append(
-                f"{self._dropped} connections were closed early: at most {MAX_OPEN} are followed at the same time, "
+                f"{counted(self._dropped, 'connection')} {by_count(self._dropped, 'was', 'were')} closed early: at "
+                f"most {MAX_OPEN} are followed at the same time, "
                 "so the one without traffic for the longest time is closed for a further one"
             )
         if self._segments.cut:
-            self.notes.append(f"{self._segments.cut} packets were captured only in part")
+            self.notes.append(
+                f"{counted(self._segments.cut, 'packet')} {by_count(self._segments.cut, 'was', 'were')} captured "
+                "only in part"
+            )
         if self._segments.fragments:
-            self.notes.append(f"{self._segments.fragments} fragments of IP packets are not reassembled")
+            self.notes.append(
+                f"{counted(self._segments.fragments, 'fragment')} of IP packets "
+                f"{by_count(self._segments.fragments, 'is', 'are')} not reassembled"
+            )
         if others := self._file.other_links:
             kinds = ", ".join(str(link_type) for link_type, _ in others.most_common(_MAX_NAMED))
-            self.notes.append(f"{others.total()} packets of other link types ({kinds}) are left out")
+            self.notes.append(f"{counted(others.total(), 'packet')} of other link types ({kinds}) are left out")
 
     def _connect(self, segment: Segment) -> _Connection:
         ends = (segment.source, segment.target)
@@ -242,7 +250,7 @@ class Pcap(NonRosSource):
         most = max(directions, key=lambda one: int(getattr(one, what)))
         self._waiting -= most.waiting_cost
         self._begun -= most.begun
-        most.give_up(f"{why}: given up after {most.taken} bytes")
+        most.give_up(f"{why}: given up after {counted(most.taken, 'byte')}")
 
     def _close(self, connection: _Connection, reason: str) -> Iterator[ImportedItem]:
         for source, direction in connection.directions.items():
@@ -257,9 +265,9 @@ class Pcap(NonRosSource):
             elif not direction.is_igtl:
                 row.left_out, row.why = row.declared, "not OpenIGTLink"
             elif direction.waiting:
-                row.why = f"a segment is missing after {direction.taken} bytes"
+                row.why = f"a segment is missing after {counted(direction.taken, 'byte')}"
             elif direction.framer and direction.framer.pending and not row.why:
-                row.why = f"ends inside a message, after {direction.framer.pending} bytes of it"
+                row.why = f"ends inside a message, after {counted(direction.framer.pending, 'byte')} of it"
             if not direction.is_listed:
                 self._add(row, is_igtl=bool(direction.is_igtl))
             if source in connection.up:

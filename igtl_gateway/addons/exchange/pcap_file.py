@@ -25,6 +25,7 @@ from typing import Any, BinaryIO
 
 from igtl_gateway.addon import NS_PER_S, DamagedRecording, Unavailable, UnsupportedRecording
 from igtl_gateway.addon.processes import missing
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addon.untrusted import files, limits
 from igtl_gateway.addons.exchange.source import library_errors_as_damage
 
@@ -140,11 +141,13 @@ class PacketFile:
             seconds, rest, size, original = record.unpack(head)
             if size > MAX_PACKET:
                 raise DamagedRecording(
-                    f"{self._path}: packet {number}: found {size} bytes, expected at most {MAX_PACKET}"
+                    f"{self._path}: packet {number}: found {counted(size, 'byte')}, expected at most {MAX_PACKET}"
                 )
             data = self._stream.read(size)
             if len(data) < size:
-                raise DamagedRecording(f"{self._path}: cut off inside packet {number}, {size - len(data)} bytes short")
+                raise DamagedRecording(
+                    f"{self._path}: cut off inside packet {number}, {counted(size - len(data), 'byte')} short"
+                )
             yield Packet(seconds * NS_PER_S + rest * unit_ns, link_type, data, size < original)
 
     def _pcapng_packets(self) -> Iterator[Packet]:
@@ -183,7 +186,7 @@ class _BoundedStream:
 
     def read(self, size: int) -> bytes:
         if not 0 <= size <= MAX_PACKET:
-            raise DamagedRecording(f"found a length of {size} bytes, expected at most {MAX_PACKET}")
+            raise DamagedRecording(f"found a length of {counted(size, 'byte')}, expected at most {MAX_PACKET}")
         return self._stream.read(size)
 
 
@@ -284,7 +287,7 @@ def _interface(block: Any, place: str) -> _Interface:
         resolution = block.options["if_tsresol"] if "if_tsresol" in block.options else bytes([_MICROSECONDS])
         offset_s = block.options["if_tsoffset"] if "if_tsoffset" in block.options else 0
     if len(resolution) != 1:
-        raise DamagedRecording(f"{place}: found an if_tsresol of {len(resolution)} bytes, expected 1 byte")
+        raise DamagedRecording(f"{place}: found an if_tsresol of {counted(len(resolution), 'byte')}, expected 1 byte")
     exponent = resolution[0]
     units: int = 2 ** (exponent & 0x7F) if exponent & 0x80 else 10**exponent
     return _Interface(block.link_type, units, offset_s)

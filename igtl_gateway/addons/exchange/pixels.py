@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addon.untrusted import files, limits
 from igtl_gateway.addons.exchange.raster import BZIP2, COMPONENT, FRAME, RAW, WIDER, Raster, check_room
 from igtl_gateway.addons.exchange.source import library_errors_as_damage
@@ -145,7 +146,7 @@ class _PixelStream:
                 part = self._read_some(size - len(data))
                 if not part:
                     raise DamagedRecording(
-                        f"{self._raster.where}: {what}: found {len(data)} bytes of pixels, expected {size}"
+                        f"{self._raster.where}: {what}: found {counted(len(data), 'byte')} of pixels, expected {size}"
                     )
                 data += part
         return data

@@ -16,6 +16,7 @@ import numpy as np
 
 from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
 from igtl_gateway.addon.streams import ImagePlacement
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addon.untrusted import limits
 
 SPACE, COMPONENT, FRAME = "space", "component", "frame"
@@ -155,7 +156,7 @@ def check_room(raster: Raster, packed: int) -> None:
     if raster.packing != RAW:
         total = raster.skip + raster.frame_bytes * raster.frames
         allowed = max(limits.current_limits().free, limits.current_limits().ratio * packed)
-        limits.check_limit("ratio", total, f"{raster.where}: decompressed from {packed} bytes", allowed)
+        limits.check_limit("ratio", total, f"{raster.where}: decompressed from {counted(packed, 'byte')}", allowed)
 
 
 def _sizes_text(sizes: list[int]) -> str:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addon.untrusted import files, limits, unpack
 
 _MAGIC = b"#ROSBAG V2.0\n"
@@ -124,7 +125,9 @@ class BagFile:
         if not index:
             raise DamagedRecording(f"{self._path}: found no index, expected one; run: rosbag reindex {self._path}")
         if index > self._size:
-            raise DamagedRecording(f"{self._path}: cut off: found {self._size} bytes, expected an index at {index}")
+            raise DamagedRecording(
+                f"{self._path}: cut off: found {counted(self._size, 'byte')}, expected an index at {index}"
+            )
         limits.check_limit("topics", connections, f"{self._path}: connections")
         limits.check_limit("count", chunks, f"{self._path}: chunks")
         self._stream.seek(index)
@@ -187,7 +190,9 @@ class BagFile:
                 raise DamagedRecording(f"{place}: ends inside a record") from None
             at += 4
             if length > len(data) - at:
-                raise DamagedRecording(f"{place}: found a record of {length} bytes, {len(data) - at} bytes remain")
+                raise DamagedRecording(
+                    f"{place}: found a record of {counted(length, 'byte')}, {counted(len(data) - at, 'byte')} remain"
+                )
             count += 1
             if count > most:
                 limits.check_limit("count", count, f"{place}: records")
@@ -202,7 +207,9 @@ class BagFile:
     def _header(self, expected: int) -> dict[bytes, bytes]:
         length = self._length("a record")
         if length > _MAX_HEADER:
-            raise DamagedRecording(f"{self._place()}: found a header of {length} bytes, expected at most {_MAX_HEADER}")
+            raise DamagedRecording(
+                f"{self._place()}: found a header of {counted(length, 'byte')}, expected at most {_MAX_HEADER}"
+            )
         head = self._fields(self._read(length, "a record"))
         if head.get(b"op") != bytes([expected]):
             raise DamagedRecording(
@@ -228,7 +235,9 @@ class BagFile:
     def _read(self, size: int, what: str) -> bytes:
         left = self._size - self._stream.tell()
         if size > left:
-            raise DamagedRecording(f"{self._place()}: cut off: {what} has {size} bytes, {left} bytes remain")
+            raise DamagedRecording(
+                f"{self._place()}: cut off: {what} has {counted(size, 'byte')}, {counted(left, 'byte')} remain"
+            )
         limits.check_limit("memory", size, f"{self._place()}: {what}")
         data = self._stream.read(size)
         if len(data) < size:
@@ -252,7 +261,7 @@ class BagFile:
         value = head.get(name, b"")
         if len(value) != form.size:
             raise DamagedRecording(
-                f"{self._place()}: found {len(value)} bytes of {name.decode()}, expected {form.size}"
+                f"{self._place()}: found {counted(len(value), 'byte')} of {name.decode()}, expected {form.size}"
             )
         return form.unpack(value)
 

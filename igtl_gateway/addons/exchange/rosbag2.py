@@ -28,6 +28,7 @@ from mcap.records import Attachment, Metadata
 
 from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
 from igtl_gateway.addon.reading import Kind, Qos, layout, message_rows, read_index, read_record, records, recover_hint
+from igtl_gateway.addon.terminal import by_count, counted
 from igtl_gateway.addon.untrusted import files, limits, unpack
 from igtl_gateway.addon.writing import Definition, FileDefinitions, another_definition, open_new
 from igtl_gateway.addons.exchange.rosbag2_metadata import (
@@ -140,9 +141,12 @@ class Rosbag2(NonRosSource):
             row.left_out = stored[key] if key in skipped else 0
             self._rows[key] = row
             if metadata.found and key not in metadata.counts:
-                self.notes.append(f"{METADATA} does not list {key[0]} ({stored[key]} messages stored)")
+                self.notes.append(f"{METADATA} does not list {key[0]} ({counted(stored[key], 'message')} stored)")
             elif row.declared != stored[key]:
-                self.notes.append(f"{METADATA} declares {row.declared} messages of {key[0]}, {stored[key]} are stored")
+                self.notes.append(
+                    f"{METADATA} declares {counted(row.declared, 'message')} of {key[0]}, {stored[key]} "
+                    f"{by_count(stored[key], 'is', 'are')} stored"
+                )
             declared, found = metadata.formats.get(key, ""), formats.get(key, "")
             if declared and found and declared != found:
                 self.notes.append(

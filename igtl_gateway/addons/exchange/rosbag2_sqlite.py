@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.addon import DamagedRecording, LimitExceeded, RecordingError, limit_values, read_blob
+from igtl_gateway.addon.terminal import count_text, counted
 from igtl_gateway.addon.untrusted import files, limits
 from igtl_gateway.addon.writing import Definition, FileDefinitions
 from igtl_gateway.addons.exchange.rosbag2_metadata import Key
@@ -147,7 +148,8 @@ class SqliteStorage:
             found = [(b"", b"", bytes(most + 1))]
         if any(isinstance(data, bytes) and len(data) > most for _, _, data in found):  # by itself, on Python 3.10
             raise LimitExceeded(
-                f"{self._path}: found a definition of more than {most:,} bytes, expected fewer (--limit definition)"
+                f"{self._path}: found a definition of more than {count_text(most, 'byte')}, expected fewer (--limit "
+                "definition)"
             )
         self._base.text_factory = _text
         limit_values(self._base, self._longest)
@@ -191,7 +193,8 @@ class SqliteStorage:
             limits.check_limit("topics", len(self._counted), f"{self._path}: topics of messages")
         if self._stored > self._size:
             raise DamagedRecording(
-                f"{self._path}: messages: found {self._stored} bytes, expected at most the file size {self._size}"
+                f"{self._path}: messages: found {counted(self._stored, 'byte')}, expected at most the file size "
+                f"{self._size}"
             )
 
     def _add_topic(self, number: Any, topic: str, ros_type: str, encoding: str, profiles: str) -> None:
@@ -222,7 +225,9 @@ class SqliteStorage:
 
     def _damaged(self, error: Exception) -> DamagedRecording:
         if self._steps > self._allowed:
-            return LimitExceeded(f"{self._path}: found queries of more than {self._allowed} steps, expected fewer")
+            return LimitExceeded(
+                f"{self._path}: found queries of more than {counted(self._allowed, 'step')}, expected fewer"
+            )
         reason = str(error)
         if "malformed" in reason or "not a database" in reason:
             return DamagedRecording(f"{self._path}: cut off or damaged: SQLite reports: {reason}")

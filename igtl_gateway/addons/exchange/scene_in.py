@@ -26,6 +26,7 @@ from urllib.parse import unquote
 from igtl_gateway.addon import NS_PER_S, DamagedRecording, GatewayError, UnsupportedRecording, distinct_names
 from igtl_gateway.addon.igtl import DEVICE_NAME_AT, Body, Message, String, Transform, cut_text, encode, ns_to_ticks
 from igtl_gateway.addon.reading import join
+from igtl_gateway.addon.terminal import count_text, counted
 from igtl_gateway.addon.untrusted import Element, files, limits, parse_xml, whole_number
 from igtl_gateway.addon.writing import make_folder, open_new
 from igtl_gateway.addons.exchange.markups import Markup, read_markups
@@ -136,7 +137,7 @@ class Bundle(_Files):
             documents = [name for name in self._infos if name.lower().endswith(".mrml") and name.count("/") <= 1]
             if len(documents) != 1:
                 raise UnsupportedRecording(
-                    f"{where}: found {len(documents)} scenes (.mrml) in the bundle, expected one"
+                    f"{where}: found {counted(len(documents), 'scene')} (.mrml) in the bundle, expected one"
                 )
         except BaseException:
             self._room.cleanup()
@@ -160,7 +161,8 @@ class Bundle(_Files):
                 limits.check_unpacked(info.compress_size, info.file_size, f"{self.where}: {name[:80]}")
             elif info.compress_size != info.file_size:
                 raise DamagedRecording(
-                    f"{self.where}: {name[:80]}: found {info.file_size:,} bytes stored in {info.compress_size:,}, "
+                    f"{self.where}: {name[:80]}: found {count_text(info.file_size, 'byte')} stored in "
+                    f"{info.compress_size:,}, "
                     "expected the same number"
                 )
             found[name] = info
@@ -172,7 +174,7 @@ class Bundle(_Files):
         packed = sum(info.compress_size for info in found.values())
         if packed > files.size_of(self._path):
             raise DamagedRecording(
-                f"{self.where}: found {packed:,} packed bytes in a file of {files.size_of(self._path):,}, "
+                f"{self.where}: found {count_text(packed, 'packed byte')} in a file of {files.size_of(self._path):,}, "
                 "expected no shared ones"
             )
         return found
@@ -208,7 +210,7 @@ class Bundle(_Files):
                 deadline.check(self.where)
                 new.write(part)
         if size != info.file_size:
-            raise DamagedRecording(f"{where}: found {size:,} bytes, expected {info.file_size:,}")
+            raise DamagedRecording(f"{where}: found {count_text(size, 'byte')}, expected {info.file_size:,}")
 
     def _unpack_pixels(self, header: Path, folder: PurePosixPath) -> None:
         """Unpack the file that an NRRD header names beside it."""
@@ -558,7 +560,7 @@ class SceneSource(NonRosSource):
         except ValueError:
             numbers = []
         rows = [numbers[row : row + 4] for row in range(0, 16, 4)]
-        why = f"{len(numbers)} numbers" if len(numbers) != 16 else no_pose(rows)
+        why = counted(len(numbers), "number") if len(numbers) != 16 else no_pose(rows)
         if why:
             kept = scene.get(node.refers.get("storage", ""))
             found = (
@@ -609,5 +611,5 @@ def _markup(path: Path, where: str) -> Markup:
     except GatewayError as error:
         raise type(error)(str(error).replace(str(path), where)) from None
     if len(markups) != 1:
-        raise DamagedRecording(f"{where}: found {len(markups)} lists of points, expected markups with one")
+        raise DamagedRecording(f"{where}: found {counted(len(markups), 'list')} of points, expected markups with one")
     return markups[0]

@@ -53,6 +53,7 @@ from igtl_gateway.addon.reading import (
 from igtl_gateway.addon.ros import FrameTransform, JointState, LinkStatusList, TFMessage, TrajectoryList
 from igtl_gateway.addon.ros import String as RosString
 from igtl_gateway.addon.streams import POSE_TYPES, Cloud, Interleaving, name_ros_fields, tools_of, transforms_of
+from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addon.untrusted import MessageDecoder
 from igtl_gateway.addon.writing import open_new
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
@@ -541,7 +542,8 @@ class SceneReading:
             return
         if self.only_pictures:
             raise TooLarge(
-                f"{self.file.path}: found {self._declared:,} bytes of pictures up to {entry.channel}, expected at most "
+                f"{self.file.path}: found {count_text(self._declared, 'byte')} of pictures up to {entry.channel}, "
+                "expected at most "
                 f"{MOST_PIXELS:,} in one sequence: --to mrb makes several scenes of them; --rate leaves pictures out"
             )
         raise NeedsParts
@@ -709,7 +711,9 @@ class SceneReading:
     def _take_text(self, entry: Entry, row: ExportedStream, text: str) -> Track:
         track = self._items(entry, "Text", "", "", ({"text": "", "encoding": 1}, b""))
         if len(text) > _MOST_CHARS:
-            raise ConfigError(f"found {len(text):,} characters, expected at most {_MOST_CHARS:,} in a node of strings")
+            raise ConfigError(
+                f"found {count_text(len(text), 'character')}, expected at most {_MOST_CHARS:,} in a node of strings"
+            )
         track.row = row
         if track.values and track.values[-1]["text"] == text:
             row.leave_out("the text before it, once more")
@@ -748,7 +752,7 @@ class SceneReading:
             case _:
                 raise ConfigError("found no numbers, expected some")
         if len(values) > 256:
-            raise ConfigError(f"found {len(values):,} numbers, expected at most 256 in a table")
+            raise ConfigError(f"found {count_text(len(values), 'number')}, expected at most 256 in a table")
         track: NumberTrack = self._new(entry, NumberTrack, self._key(entry))
         self._take_numbers(track, entry, row, {str(number + 1): float(v) for number, v in enumerate(values.tolist())})
         return track
@@ -792,7 +796,7 @@ class SceneReading:
         known = self.tracks.get((entry.kind, entry.channel, entry.type))
         if isinstance(known, NumberTrack) or (known is None and not texts):
             if len(numbers) > _MOST_NUMBERS:
-                raise ConfigError(f"found {len(numbers):,} numbers, expected at most {_MOST_NUMBERS}")
+                raise ConfigError(f"found {count_text(len(numbers), 'number')}, expected at most {_MOST_NUMBERS}")
             track: NumberTrack = self._new(entry, NumberTrack, (entry.kind, entry.channel, entry.type))
             self._take_numbers(track, entry, row, numbers)
             return track

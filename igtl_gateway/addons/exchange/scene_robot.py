@@ -19,6 +19,7 @@ from igtl_gateway.addon import GatewayError, failure_text
 from igtl_gateway.addon.igtl import Cells, PolyData
 from igtl_gateway.addon.processes import is_present, part_of
 from igtl_gateway.addon.streams import matrices_of
+from igtl_gateway.addon.terminal import by_count, counted
 from igtl_gateway.addons.exchange.scene_tracks import NumberTrack, PoseTrack, Track
 from igtl_gateway.addons.exchange.surface_out import vtk
 
@@ -127,7 +128,10 @@ class Robots:
                 box = np.array([points.min(axis=0), points.max(axis=0)])
                 self.bodies.append(Body(f"robot_{name}", link, vtk(content).data, colour, box))
         if missing:
-            self.notes.append(f"{topic}: {len(missing)} bodies of the robot are not shown: {missing[0]}")
+            self.notes.append(
+                f"{topic}: {counted(len(missing), 'body', 'bodies')} of the robot "
+                f"{by_count(len(missing), 'is', 'are')} not shown: {missing[0]}"
+            )
 
 
 def _mover(joint: str, states: Sequence[NumberTrack]) -> tuple[NumberTrack, Array] | None:

@@ -34,6 +34,7 @@ from igtl_gateway.addon.igtl import (
 )
 from igtl_gateway.addon.reading import Buffer, join
 from igtl_gateway.addon.streams import COORDINATE
+from igtl_gateway.addon.terminal import by_count, counted
 from igtl_gateway.addon.untrusted import files, limits, whole_number
 from igtl_gateway.addons.exchange import pixels
 from igtl_gateway.addons.exchange.header import ImageFile
@@ -148,7 +149,10 @@ class Sequence(NonRosSource):
         if extra:
             self.notes.append(f"fields of frames that are not imported: {_shortened(sorted(extra))}")
         if self._frames and (len(self._frames) != raster.frames or max(self._frames) >= raster.frames):
-            self.notes.append(f"{raster.frames} frames declared, but {len(self._frames)} frames have fields")
+            self.notes.append(
+                f"{counted(raster.frames, 'frame')} declared, but {counted(len(self._frames), 'frame')} "
+                f"{by_count(len(self._frames), 'has', 'have')} fields"
+            )
         if not self._tracked and raster.frames > 1 and not raster.times_s:
             self.notes.append("the frames have no times: they are placed 1 ns apart")
         if (orientation := _source_orientation(self._fields)) and raster.frame_bytes:

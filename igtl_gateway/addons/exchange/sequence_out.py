@@ -15,6 +15,7 @@ from igtl_gateway.addon import NS_PER_S, UnsupportedRecording, distinct_names
 from igtl_gateway.addon.igtl import BIG_ENDIAN, Image
 from igtl_gateway.addon.reading import Buffer
 from igtl_gateway.addon.streams import GAP_NS, ImagePlacement
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addon.untrusted import whole_number
 from igtl_gateway.addon.writing import open_new, written
 from igtl_gateway.addons.exchange.account import ExportAccount
@@ -74,7 +75,9 @@ def export_sequence(recording: Recording, out: Path, globs: Sequence[str], gap_n
         )
         source = sources[name]
         of = "" if source.name == name and not source.link else f", of {source}"
-        account.notes.append(f"{name}Transform{of}: OK in {valid} of {count} frames{why if valid < count else ''}")
+        account.notes.append(
+            f"{name}Transform{of}: OK in {valid} of {counted(count, 'frame')}{why if valid < count else ''}"
+        )
     if moving:
         account.notes.append(
             f"the images move: the pose of each is its {moving}Transform (pixels to RAS, mm), and the header has none"

@@ -27,6 +27,7 @@ from igtl_gateway.addon.igtl import (
     ns_to_ticks,
 )
 from igtl_gateway.addon.reading import join
+from igtl_gateway.addon.terminal import by_count, counted
 from igtl_gateway.addons.exchange.itk_transform import read_transform, to_parent
 from igtl_gateway.addons.exchange.markups import LINE, PLANE, ROI, Markup, read_markups
 from igtl_gateway.addons.exchange.sequence import DEFAULT_EPOCH_NS, no_pose
@@ -101,14 +102,16 @@ def _markups(path: Path, source: SlicerFile) -> list[Content]:
         device = name if len(markups) == 1 else f"{cut_text(name, _DEVICE_BYTES - len(str(number)))}{number}"
         if long := sum(len(label.encode()) > _NAME_BYTES for label in markup.labels):
             source.notes.append(
-                f"{device}: {long} labels are cut to {_NAME_BYTES} bytes, which is the most that POINT has"
+                f"{device}: {counted(long, 'label')} {by_count(long, 'is', 'are')} cut to {_NAME_BYTES} bytes, "
+                "which is the most that POINT has"
             )
         if not markup.has_space:
             source.notes.append(f"{device}: the file states no coordinate system: LPS, as in 3D Slicer")
         kind, content = content_of(markup)
         row = ImportedStream(device, 1, kind, taken=1)
         if markup.undefined:
-            row.why = f"without {markup.undefined} control points that have no position"
+            points = counted(markup.undefined, "control point")
+            row.why = f"without {points} that {by_count(markup.undefined, 'has', 'have')} no position"
         source.rows.append(row)
         contents.append((kind, device, content))
         if markup.corners:

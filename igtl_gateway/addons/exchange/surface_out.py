@@ -37,6 +37,7 @@ from igtl_gateway.addon.messages import (
 from igtl_gateway.addon.reading import Entry, recorded_acceptance, recorded_units
 from igtl_gateway.addon.ros import Marker, Mesh, PointCloud2
 from igtl_gateway.addon.settings import DEFAULT_ACCEPTANCE, Acceptance
+from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import export_one_file_each
 from igtl_gateway.addons.exchange.selection import Recording
@@ -236,7 +237,7 @@ def _misfit(attribute: Attribute, content: PolyData) -> str:
         return "attributes without components"
     if attribute.tuples != count:
         things = "cells" if of_cells else "points"
-        return f"{attribute.tuples:,} values for {count:,} {things}"
+        return f"{count_text(attribute.tuples, 'value')} for {count:,} {things}"
     return "" if count else "no points or cells for these attributes"
 
 

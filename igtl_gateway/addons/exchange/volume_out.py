@@ -33,6 +33,7 @@ from igtl_gateway.addon.ros import Image as RosImage
 from igtl_gateway.addon.ros import Volume
 from igtl_gateway.addon.settings import Acceptance
 from igtl_gateway.addon.streams import ImagePlacement, Vector, has_own_normal
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import export_one_file_each
 from igtl_gateway.addons.exchange.selection import Recording
@@ -70,7 +71,9 @@ def export_nrrd(recording: Recording, out: Path, globs: Sequence[str]) -> Export
             f"{stream}: {number} without a position: invalid matrix (axes of zero length, coplanar, or not finite)"
         )
     for stream, number in sorted((+completed).items()):
-        account.notes.append(f"{stream}: {number} slices without a third axis: it is set to the normal, 1 mm")
+        account.notes.append(
+            f"{stream}: {counted(number, 'slice')} without a third axis: it is set to the normal, 1 mm"
+        )
     return account
 
 

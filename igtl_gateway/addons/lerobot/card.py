@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from igtl_gateway.addon import __version__
+from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addon.untrusted import printable
 from igtl_gateway.addons.lerobot.card_streams import Facts
 from igtl_gateway.addons.lerobot.frames import Plan
@@ -231,7 +232,10 @@ def _synchronization(plan: Plan, streams: list[Facts], name: str) -> Iterator[st
         ))  # fmt: skip
     yield from _rows(*uses, titles=uses_titles)
     yield ""
-    yield f"The session has {plan.frame_count:,} frames in {len(plan.episodes):,} episodes. Distance is the median,"
+    yield (
+        f"The session has {count_text(plan.frame_count, 'frame')} in "
+        f"{count_text(len(plan.episodes), 'episode')}. Distance is the median,"
+    )
     yield "over the frames, of the time between frame and sample (the one before, for interpolate). Cuts are times"
     yield "without a value by the rule, between the first and the last sample; missing is their sum."
     yield ""
@@ -243,7 +247,7 @@ def _synchronization(plan: Plan, streams: list[Facts], name: str) -> Iterator[st
         begin, end = (plan.place.episode + each for each in (episodes[0], episodes[-1]))
         yield f"* demonstration {owner} has a gap, or is too long: episodes {begin} to {end}"
     yield from (f"* split {_cell(name)}: episodes {text}" for name, text in plan.splits.items())
-    yield from (f"* left out: {number:,} frames: {why}" for why, number in plan.left_out.items())
+    yield from (f"* left out: {count_text(number, 'frame')}: {why}" for why, number in plan.left_out.items())
     yield from ("", "## Lags", "")
     first = streams[0].samples.row.stream
     yield f"Lags of the recorded stamps behind `{_cell(first)}`, from what moves in both (`igtl-gateway sync`)."

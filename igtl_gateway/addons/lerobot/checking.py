@@ -18,6 +18,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from igtl_gateway.addon import GatewayError
+from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addon.untrusted import Deadline, read_bytes, size_of, stored_bytes
 from igtl_gateway.addons.lerobot.checking_stats import StatsCheck
 from igtl_gateway.addons.lerobot.checking_videos import check_videos
@@ -81,7 +82,10 @@ def _metadata(found: FoundDataSet) -> Iterator[str]:
         yield "meta/episodes: found episodes that are not numbered from 0 on, expected 0, 1, 2 …"
     for each in episodes:
         if each.length > longest(info["fps"]):
-            yield f"episode {each.index}: found {each.length:,} frames, expected at most {longest(info['fps']):,}"
+            yield (
+                f"episode {each.index}: found {count_text(each.length, 'frame')}, expected at most "
+                f"{longest(info['fps']):,}"
+            )
     yield from _splits(info["splits"], len(episodes), f"{place}: splits")
     try:
         text = read_bytes(found.root / "meta" / "README.md").decode("utf-8", "replace").lower()
@@ -132,7 +136,7 @@ def _episodes(found: FoundDataSet, deadline: Deadline) -> Iterator[str]:
             yield str(error)
             table = None
         if table is not None and table.num_rows != episode.length:
-            yield f"{place}: found {table.num_rows:,} rows, expected {episode.length:,}"
+            yield f"{place}: found {count_text(table.num_rows, 'row')}, expected {episode.length:,}"
             table = None
         if table is not None and episode.length <= longest(found.info["fps"]):
             yield from (f"{place}: {each}" for each in _columns(found, table))
@@ -161,7 +165,7 @@ def _columns(found: FoundDataSet, table: pa.Table) -> Iterator[str]:
             yield f"{name}: found {_short(str(actual))}, expected {expected}"
             continue
         if number := missing(table[name]):
-            yield f"{name}: found {number:,} missing values, expected none"
+            yield f"{name}: found {count_text(number, 'missing value')}, expected none"
         elif pa.types.is_floating(kind) and not np.isfinite(matrix_of(table, name)).all():
             yield f"{name}: found values that are not finite, expected numbers"
 

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.addon import GatewayError
+from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addons.lerobot.checking_stats import StatsCheck
 from igtl_gateway.addons.lerobot.episodes import TOLERANCE_S
 from igtl_gateway.addons.lerobot.reading import FoundDataSet, FoundEpisode, VideoPart
@@ -73,8 +74,8 @@ def _owners(parts: Parts) -> Iterator[tuple[FoundEpisode, int]]:
 def _times(times: Array, parts: Parts, fps: int) -> Iterator[str]:
     total = sum(episode.length for episode, _ in parts)
     if len(times) != total:
-        number = f"{len(times):,}" if len(times) <= total else f"more than {total:,}"
-        yield f"found {number} frames, expected {total:,}"
+        found = count_text(len(times), "frame") if len(times) <= total else f"more than {count_text(total, 'frame')}"
+        yield f"found {found}, expected {total:,}"
     away = np.abs(times - np.arange(len(times)) / fps)
     if len(away) and away.max() > TOLERANCE_S:
         worst = int(np.argmax(away > TOLERANCE_S))

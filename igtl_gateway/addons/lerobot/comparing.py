@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from igtl_gateway.addon import GatewayError
 from igtl_gateway.addon.reading import open_recording
+from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addon.untrusted import parquet_columns, printable
 from igtl_gateway.addons.lerobot.assembling import provenance_of
 from igtl_gateway.addons.lerobot.checking import check_rules, first_findings
@@ -247,7 +248,7 @@ def _columns(plan: Plan, episode: Episode, table: Any) -> Iterator[str]:
         if wrong.any():
             row = int(np.argmax(wrong))
             number = int(wrong.sum())
-            others = f" ({number:,} frames differ)" if number > 1 else ""
+            others = f" ({count_text(number, 'frame')} differ)" if number > 1 else ""
             yield f"{name}: frame {row}: found {_value(table, name, row)}, expected {_shown(expected[row])}{others}"
 
 

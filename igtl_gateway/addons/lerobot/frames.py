@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from igtl_gateway.addon import ConfigError, GatewayError
 from igtl_gateway.addon.reading import Recording
+from igtl_gateway.addon.terminal import count_text, counted
 from igtl_gateway.addon.untrusted import check_limit
 from igtl_gateway.addons.lerobot.episodes import Span, longest, parts_of, spans_of
 from igtl_gateway.addons.lerobot.recipe import Feature, Recipe
@@ -208,7 +209,7 @@ def build(recording: Recording, recipe: Recipe, place: Place | None = None) -> P
         _add(plan, span, covered)
         plan.demonstrations += 1
     if not plan.episodes:
-        reasons = "; ".join(f"{number:,} frames: {why}" for why, number in plan.left_out.items())
+        reasons = "; ".join(f"{count_text(number, 'frame')}: {why}" for why, number in plan.left_out.items())
         raise GatewayError(
             f"found no frame that has all streams{f' ({reasons})' if reasons else ''}, expected one or more; "
             "see tolerance_ms, clock and [episodes] of the recipe"
@@ -241,12 +242,13 @@ def _add(plan: Plan, span: Span, covered: list[tuple[int, int]]) -> None:
                 f"found more than {MAX_FRAMES:,} frames, expected fewer; see tolerance_ms and [episodes]"
             )
         if count < recipe.min_frames:
-            _count(plan, f"fewer than {recipe.min_frames} frames without a gap", max(count, 0))
+            _count(plan, f"fewer than {counted(recipe.min_frames, 'frame')} without a gap", max(count, 0))
             continue
         most = longest(recipe.fps)
         if count > most and not recipe.split_long:
             raise ConfigError(
-                f"episode {len(plan.episodes)}: found {count:,} frames ({count / recipe.fps:,.0f} s), expected at most "
+                f"episode {len(plan.episodes)}: found {count_text(count, 'frame')} ({count / recipe.fps:,.0f} s), "
+                "expected at most "
                 f"{most:,} ({most / recipe.fps:,.0f} s): float32 time stamps of more are wrong by more than 0.1 ms; "
                 "see [episodes], or set split_long = true"
             )

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from typing import IO
 
 from igtl_gateway.addon import DamagedRecording
+from igtl_gateway.addon.terminal import count_text, counted
 from igtl_gateway.addon.untrusted import limits
 
 _HEAD = struct.Struct(">I4s")
@@ -38,16 +39,19 @@ def check_samples(stream: IO[bytes], size: int, place: str) -> None:
         stream.seek(at)
         head = stream.read(min(_READ, length))
         if len(head) < offset + 4:
-            raise DamagedRecording(f"{place}: {kind.decode()}: found {length} bytes, expected a whole box")
+            raise DamagedRecording(f"{place}: {kind.decode()}: found {counted(length, 'byte')}, expected a whole box")
         found = int.from_bytes(head[offset : offset + 4], "big")
         if kind == b"stts":
             found = _samples_of_runs(stream, at + offset + 4, min(found, length // _TIMES.size))
         if found > size:
             raise DamagedRecording(
-                f"{place}: {kind.decode()}: found {found:,} samples, expected at most one for each of {size:,} bytes"
+                f"{place}: {kind.decode()}: found {count_text(found, 'sample')}, expected at most one for each of "
+                f"{count_text(size, 'byte')}"
             )
         if found > _MOST:
-            raise DamagedRecording(f"{place}: {kind.decode()}: found {found:,} samples, expected at most {_MOST:,}")
+            raise DamagedRecording(
+                f"{place}: {kind.decode()}: found {count_text(found, 'sample')}, expected at most {_MOST:,}"
+            )
     stream.seek(0)
 
 

@@ -31,6 +31,7 @@ from igtl_gateway.addon.reading import MessageBlock, Stream
 from igtl_gateway.addon.ros import CompressedImage, CompressedVideo, Volume
 from igtl_gateway.addon.ros import Image as RosImage
 from igtl_gateway.addon.streams import Images, find_row
+from igtl_gateway.addon.terminal import counted
 
 Pixels = npt.NDArray[np.uint8]
 Array = npt.NDArray[Any]
@@ -141,7 +142,7 @@ class Pictures:
         if plane.ndim == 2:
             plane = plane[:, :, np.newaxis]
         if plane.shape[2] not in (1, 3, 4):
-            raise ConfigError(f"{self._key}: found {plane.shape[2]} components, expected 1, 3 or 4")
+            raise ConfigError(f"{self._key}: found {counted(plane.shape[2], 'component')}, expected 1, 3 or 4")
         if self._window:
             low, high = self._window
             with np.errstate(invalid="ignore"):

@@ -14,6 +14,7 @@ import pyarrow as pa
 
 from igtl_gateway.addon import DamagedRecording
 from igtl_gateway.addon.messages import MAX_PIXELS
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addon.untrusted import check_limit, parse_json, read_bytes, read_parquet, shape
 from igtl_gateway.addons.lerobot.frames import MAX_FRAMES
 from igtl_gateway.addons.lerobot.layout import CHUNK, PATHS
@@ -163,7 +164,9 @@ def read_table(path: Path) -> pa.Table:
     table = read_parquet(path)
     names = table.schema.names
     if len(set(names)) < len(names):
-        raise DamagedRecording(f"{path}: found {len(names) - len(set(names))} columns with the name of another one")
+        raise DamagedRecording(
+            f"{path}: found {counted(len(names) - len(set(names)), 'column')} with the name of another one"
+        )
     return table
 
 

@@ -11,8 +11,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
-from igtl_gateway.addon import ConfigError
+from igtl_gateway.addon import ConfigError, one_of
 from igtl_gateway.addon.settings import read_toml
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addons.lerobot.recipe import (
     ACTION,
     CLOCKS,
@@ -55,7 +56,7 @@ Check = tuple[Callable[[Any], bool], str]
 
 
 def _text(most: int = _MAX_TEXT, least: int = 0) -> Check:
-    expected = f"a string of {least} to {most} characters without line breaks"
+    expected = f"a string of {least} to {counted(most, 'character')} without line breaks"
     return lambda value: isinstance(value, str) and least <= len(value) <= most and value.isprintable(), expected
 
 
@@ -142,7 +143,7 @@ def _recipe(document: Mapping[str, Any]) -> Recipe:
     tables = ("dataset", "episodes", "feature", "splits", "card")
     for name in document:
         if name not in tables:
-            raise ConfigError(f"{name}: unknown table, expected one of {', '.join(tables)}")
+            raise ConfigError(f"{name}: unknown table, expected {one_of(name, tables)}")
     cuts = dict(_table(document.get("episodes", {}), "episodes"))
     ranges = _array(cuts.pop("range", []), "episodes.range")
     episodes = _of(Cuts, cuts, _CUTS, "episodes", range=tuple(
@@ -221,7 +222,7 @@ def _of(kind: type[Row], value: Any, checks: Mapping[str, Check], place: str, **
     settings = dict(_table(value, place))
     for name, found in settings.items():
         if name not in checks:
-            raise ConfigError(f"{place}.{name}: unknown key, expected one of {', '.join(checks)}")
+            raise ConfigError(f"{place}.{name}: unknown key, expected {one_of(name, checks)}")
         is_good, expected = checks[name]
         if not is_good(found):
             raise _wrong(f"{place}.{name}", found, expected)
@@ -253,7 +254,7 @@ def _check_features(recipe: Recipe) -> None:
         if row.is_picture and (row.name.count(".") != 2 or row.fields or row.names or row.rule == "interpolate"):
             raise ConfigError(f"{place}: found fields, names, interpolate or a further dot, expected a picture")
         if len(recipe.rows(row.name)) > 1 and (row.is_picture or row.next_of):
-            raise ConfigError(f"{place}: found {len(recipe.rows(row.name))} rows, expected one")
+            raise ConfigError(f"{place}: found {counted(len(recipe.rows(row.name)), 'row')}, expected one")
         if (row.lag == "measured") != bool(row.against) or (row.lag and row.lag_ms):
             raise ConfigError(f'{place}: expected lag = "measured" with against, and without lag_ms')
         if row.fill == "hold" and row.tolerance_ms is None:
@@ -266,7 +267,9 @@ def _check_cuts(cuts: Cuts) -> None:
     if (cuts.by in ("markers", "gap", "still")) != bool(cuts.stream):
         raise ConfigError(f"episodes.stream: found {cuts.stream!r}, expected one for markers, gap and still only")
     if (cuts.by == "ranges") != bool(cuts.range):
-        raise ConfigError(f'episodes.range: found {len(cuts.range)} ranges, expected some for by = "ranges" only')
+        raise ConfigError(
+            f'episodes.range: found {counted(len(cuts.range), "range")}, expected some for by = "ranges" only'
+        )
     if cuts.by in ("markers", "notes") and cuts.start == cuts.stop:
         raise ConfigError(f"episodes.stop: found {cuts.stop!r}, as start, expected another text")
     for number, each in enumerate(cuts.range):

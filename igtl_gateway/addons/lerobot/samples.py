@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import NS_PER_S, ConfigError, GatewayError
+from igtl_gateway.addon import NS_PER_S, ConfigError, GatewayError, one_of
 from igtl_gateway.addon.notes import StampCorrection
 from igtl_gateway.addon.reading import Recording, Stream
 from igtl_gateway.addon.streams import NAME_FIELDS, between_poses, by_name, completed, one_clock, quaternions_of
+from igtl_gateway.addon.terminal import count_text, counted
 from igtl_gateway.addons.lerobot.pictures import Pictures, has_pictures
 from igtl_gateway.addons.lerobot.recipe import Feature
 from igtl_gateway.addons.sync.lag import Lag, Verdict, measure_lag
@@ -187,7 +188,9 @@ def read_samples(
             f"{place}.rule: found interpolate for a {'string' if kind == 'text' else kind}, expected nearest or hold"
         )
     if not len(rows):
-        raise ConfigError(f"{place}: found no usable value in {len(stream):,} messages of {row.stream}, expected one")
+        raise ConfigError(
+            f"{place}: found no usable value in {count_text(len(stream), 'message')} of {row.stream}, expected one"
+        )
     if recorded != tuple(names_of_set) and sorted(recorded) == sorted(names_of_set):
         values = values[:, [recorded.index(each) for each in names_of_set]]
         recorded = tuple(names_of_set)
@@ -224,7 +227,9 @@ def _named(names: tuple[str, ...], row: Feature, place: str) -> tuple[str, ...]:
     if not row.names:
         return names
     if len(row.names) != len(names):
-        raise ConfigError(f"{place}.names: found {len(row.names)} names, expected {len(names)}: {', '.join(names)}")
+        raise ConfigError(
+            f"{place}.names: found {counted(len(row.names), 'name')}, expected {len(names)}: {', '.join(names)}"
+        )
     return row.names
 
 
@@ -298,7 +303,9 @@ def _check_lengths(table: Any, fields: Sequence[str]) -> None:
         if pa.types.is_list(table[name].type) or pa.types.is_large_list(table[name].type):
             longest = compute.max(compute.list_value_length(table[name])).as_py() or 0
             if longest > MAX_NUMBERS:
-                raise ConfigError(f"fields: found {longest:,} numbers in {name}, expected at most {MAX_NUMBERS:,}")
+                raise ConfigError(
+                    f"fields: found {count_text(longest, 'number')} in {name}, expected at most {MAX_NUMBERS:,}"
+                )
 
 
 def _columns(stream: Stream, fields: Sequence[str], row: Feature) -> tuple[str, Array, Any, tuple[str, ...], None]:
@@ -309,11 +316,11 @@ def _columns(stream: Stream, fields: Sequence[str], row: Feature) -> tuple[str, 
     known = _value_columns(table)
     for name in fields:
         if name not in known:
-            raise ConfigError(f"fields: found {name!r}, expected columns of {stream.key}: {', '.join(known)}")
+            raise ConfigError(f"fields: found {name!r}, expected columns of {stream.key}, {one_of(name, known)}")
     _check_lengths(table, fields)
     if any(pa.types.is_string(table[name].type) for name in fields):
         if len(fields) > 1:
-            raise ConfigError(f"fields: found {len(fields)} columns with a string, expected one")
+            raise ConfigError(f"fields: found {counted(len(fields), 'column')} with a string, expected one")
         texts = table[fields[0]].to_pylist()
         good = np.array([each is not None for each in texts], bool)
         return "text", rows[good], [each for each in texts if each is not None], (fields[0],), None
@@ -368,7 +375,7 @@ def _by_name(
     if found is None:
         return None
     if len(found.names) > MAX_NUMBERS:
-        raise ConfigError(f"fields: found {len(found.names):,} names, expected at most {MAX_NUMBERS:,}")
+        raise ConfigError(f"fields: found {count_text(len(found.names), 'name')}, expected at most {MAX_NUMBERS:,}")
     sources = stream.stamps[rows]
     times = sources if np.all(sources > 0) else stream.times[rows]
     most_ns = (1 << 62) - 1 if row.tolerance_ms is None else round(row.tolerance_ms * 1e6)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import PurePath
 
 from igtl_gateway.addon import ConfigError, matches
+from igtl_gateway.addon.terminal import counted
 
 #: Numbers and notes of one kind that are listed.
 MOST_LISTED = 10
@@ -165,7 +166,8 @@ def splits_of(ranges: Mapping[str, str] | None, demonstrations: int, owners: Seq
     missing = sorted(set(owners) - names.keys())
     if missing:
         raise ConfigError(
-            f"splits: found {len(missing)} of {demonstrations} demonstrations in no split, the first is {missing[0]}, "
+            f"splits: found {len(missing)} of {counted(demonstrations, 'demonstration')} in no split, the first is "
+            f"{missing[0]}, "
             "expected each one in a split"
         )
     return found

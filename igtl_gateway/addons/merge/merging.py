@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import NS_PER_S, ConfigError, DamagedRecording, GatewayError, UnsupportedRecording
+from igtl_gateway.addon import NS_PER_S, ConfigError, DamagedRecording, GatewayError, UnsupportedRecording, one_of
 from igtl_gateway.addon.igtl import HEADER_SIZE
 from igtl_gateway.addon.messages import topic_token
 from igtl_gateway.addon.reading import (
@@ -285,7 +285,7 @@ def _check(recorders: Sequence[_Recorder], out: Path, given: Mapping[str, ClockO
             raise ConfigError(f"{each.path}: found the same recording as {before.path}, expected another recorder's")
     others = [each.name for each in recorders[1:]]
     if unknown := sorted(given.keys() - set(others)):
-        raise ConfigError(f"offset of {unknown[0]!r}: found no such part, expected one of {', '.join(others)}")
+        raise ConfigError(f"offset of {unknown[0]!r}: found no such part, expected {one_of(unknown[0], others)}")
 
 
 def _known(recorders: Sequence[_Recorder], given: Mapping[str, ClockOffset]) -> dict[tuple[str, str], Clock]:

@@ -10,13 +10,7 @@ from pathlib import Path
 from igtl_gateway.addon import NS_PER_S, ConfigError, GatewayError
 from igtl_gateway.addon.messages import topic_token
 from igtl_gateway.addon.reading import SessionFile, open_recording
-from igtl_gateway.addon.terminal import (
-    count_text,
-    print_json,
-    print_line,
-    print_merge,
-    size_text,
-)
+from igtl_gateway.addon.terminal import count_text, counted, print_json, print_line, print_merge, size_text
 from igtl_gateway.addon.untrusted import is_same
 from igtl_gateway.addon.writing import Method, check_target, open_new, written
 from igtl_gateway.addons.merge.merging import Source, merge
@@ -43,7 +37,8 @@ def run(options: argparse.Namespace) -> int:
         print_json(found)
     else:
         print_line(
-            f"{options.output}: {count_text(found['messages'], 'message')} of {len(found['parts'])} recordings, "
+            f"{options.output}: {count_text(found['messages'], 'message')} of "
+            f"{counted(len(found['parts']), 'recording')}, "
             f"{size_text(options.output.stat().st_size)}"
         )
         print_merge(found)

@@ -18,6 +18,7 @@ from igtl_gateway.addon.live import REPLAY_SIDES, ReplaySide, plan_replay
 from igtl_gateway.addon.notes import LINK_DOWN, LINK_UP, LOSSES, PAUSED, RESUMED
 from igtl_gateway.addon.processes import ignore_endings
 from igtl_gateway.addon.reading import Kind, Level, Note, SessionFile, marks_of, only_of_kinds, stated_seals
+from igtl_gateway.addon.terminal import count_text
 
 #: What is wanted of a recording: its row in the list, its time line, the numbers of a stream.
 FACTS, PLACES, PLOT = "facts", "places", "plot"
@@ -121,7 +122,7 @@ class _SlowPeer:
         more = " …" if len(streams) > _SLOW_NAMED else ""
         of = f" of {', '.join(streams[:_SLOW_NAMED])}{more}" if streams else ""
         peer = str(note.data.get("peer", "a peer"))[:80]
-        missing = f"{dropped - self._before:,} messages{of} did not reach it"
+        missing = f"{count_text(dropped - self._before, 'message')}{of} did not reach it"
         text = f"{peer} read too slowly: {missing}; the recording lost none by this"
         self._place |= {"end_s": at_s, "text": text}
         return self._place if is_new else None

@@ -10,6 +10,7 @@ from typing import Any
 from igtl_gateway.addon import NS_PER_S
 from igtl_gateway.addon.live import SILENT_NS, Arrivals
 from igtl_gateway.addon.notes import HARMLESS
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addons.page.left import Left
 from igtl_gateway.addons.page.rhythm import Rhythm
 from igtl_gateway.addons.page.sample import rows_of
@@ -170,7 +171,7 @@ class Now:
         if froms:
             self._senders[key] = froms
         froms = froms or self._senders.get(key, [])
-        one = f"from {froms[0]}{_GONE * is_gone}" if len(froms) == 1 else f"from {len(froms)} peers"
+        one = f"from {froms[0]}{_GONE * is_gone}" if len(froms) == 1 else f"from {counted(len(froms), 'peer')}"
         return (one if froms else _SIDES[key[0]]), is_gone
 
     def _stream_row(
@@ -341,7 +342,7 @@ def _to_peers(links: Sequence[Mapping[str, Any]], *, is_relay: bool) -> dict[str
     if len(rates) < _SEVERAL or is_relay:
         return {}
     is_same = min(rates) > (1 - _SAME) * max(rates)
-    words = f"to {len(rates)} peers"
+    words = f"to {counted(len(rates), 'peer')}"
     return {"way": words, "receivers": len(rates)} if is_same else {"way": f"{words}, all together"}
 
 

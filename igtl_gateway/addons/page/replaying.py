@@ -19,6 +19,7 @@ from igtl_gateway.addon import NS_PER_S, GatewayError, SystemClock, failure_text
 from igtl_gateway.addon.live import REPLAY_SETTINGS, Player, ReplayEvents, ReplayOptions, ReplaySides, run_replay
 from igtl_gateway.addon.processes import ignore_endings, report_facts
 from igtl_gateway.addon.reading import SessionFile
+from igtl_gateway.addon.terminal import by_count, count_text
 from igtl_gateway.addons.page.rhythm import Rhythm
 
 _STATE_S = 0.2
@@ -54,7 +55,10 @@ class _Replay:
             return
         if result:
             nobody = f", and {found:,} while no peer was connected" if (found := result.without_peer) else ""
-            sent = f"{result.messages - result.without_peer:,} messages were sent{nobody}"
+            sent = (
+                f"{count_text(result.messages - result.without_peer, 'message')} "
+                f"{by_count(result.messages - result.without_peer, 'was', 'were')} sent{nobody}"
+            )
             report_facts({"line": sent, "ended": result.complete})
 
     def _say(self, text: str) -> None:

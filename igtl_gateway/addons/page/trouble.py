@@ -11,6 +11,7 @@ from typing import Any
 from igtl_gateway.addon import NS_PER_S
 from igtl_gateway.addon.checking import RULES
 from igtl_gateway.addon.notes import DROPPED, HARMLESS
+from igtl_gateway.addon.terminal import by_count, count_text
 from igtl_gateway.addons.page.rhythm import Rhythm
 
 #: States, the worst first: each has a word, a shape and a colour on the page.  OFF: nothing comes, and nothing has to.
@@ -216,14 +217,14 @@ def _order(rhythm: Rhythm, now_ns: int) -> tuple[int, int]:
 
 def _withheld(rows: Sequence[Mapping[str, Any]]) -> Trouble | None:
     stale = sum(row["stale"] for row in rows)
-    return Trouble(ERROR, f"stale: {stale:,} messages withheld", "stale") if stale else None
+    return Trouble(ERROR, f"stale: {count_text(stale, 'message')} withheld", "stale") if stale else None
 
 
 def _lost(lost: int, dropped: Mapping[str, int]) -> Trouble:
     reasons = [reason for reason in dropped if reason not in HARMLESS]
     words = ", ".join(DROPPED.get(reason, reason) for reason in reasons)
     rule = next((reason for reason in reasons if reason in _RULE_OF), "lost")
-    return Trouble(ERROR, f"{lost:,} messages dropped: {words}", rule)
+    return Trouble(ERROR, f"{count_text(lost, 'message')} dropped: {words}", rule)
 
 
 def _silent(rhythm: Rhythm | None, now_ns: int) -> Trouble | None:
@@ -267,9 +268,13 @@ def _odd(rows: Sequence[Mapping[str, Any]]) -> Trouble | None:
 
 def _reading(peer: Mapping[str, Any], losses: Losses, now_ns: int) -> Trouble | None:
     if losses.is_recent(now_ns):
-        return Trouble(ERROR, f"reads too slowly: {peer['dropped']:,} messages dropped", "queue")
+        return Trouble(ERROR, f"reads too slowly: {count_text(peer['dropped'], 'message')} dropped", "queue")
     if peer["queued"] > _QUEUED or (peer["queued"] > 1 and peer["queued_bytes"] > _QUEUED_BYTES):
-        return Trouble(WARNING, f"reads slowly: {peer['queued']:,} messages wait", "queue")
+        return Trouble(
+            WARNING,
+            f"reads slowly: {count_text(peer['queued'], 'message')} {by_count(peer['queued'], 'waits', 'wait')}",
+            "queue",
+        )
     if kilobytes := losses.stuck_bytes // 1_000:
         return Trouble(WARNING, f"reads slowly: {kilobytes:,} kB wait", "queue")
     return None

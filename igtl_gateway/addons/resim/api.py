@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 
-from igtl_gateway.addon import NS_PER_MS, NS_PER_S, ConfigError
+from igtl_gateway.addon import NS_PER_MS, NS_PER_S, ConfigError, one_of
 from igtl_gateway.addon.checking import Tolerance
 from igtl_gateway.addon.reading import SessionFile
 from igtl_gateway.addons.resim.engine import MOST_DELAY_S, Clocks, Program, ResimOptions, RunResult, run
@@ -128,7 +128,7 @@ def resim(
         if not 0 < value < inf:
             raise ConfigError(f"{name}: found {value!r}, expected more than 0")
     if clocks not in (names := [each.value for each in Clocks]):
-        raise ConfigError(f"clocks: found {clocks!r}, expected one of {', '.join(names)}")
+        raise ConfigError(f"clocks: found {clocks!r}, expected {one_of(clocks, names)}")
     options = ResimOptions(
         runs=runs,
         without=_globs(without),

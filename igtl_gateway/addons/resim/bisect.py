@@ -18,6 +18,7 @@ from pathlib import Path
 from igtl_gateway.addon import ConfigError, Unavailable
 from igtl_gateway.addon.checking import EXACT, Tolerance
 from igtl_gateway.addon.processes import KILL, Child, end_session
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addon.writing import make_folder
 from igtl_gateway.addons.resim.engine import Program, ResimOptions, run
 from igtl_gateway.addons.resim.verdict import Verdict, compare
@@ -85,7 +86,7 @@ class Bisection:
             commits = [
                 f"  {commit.short}  {commit.subject} ({commit.author}, {commit.day})" for commit in self.possible
             ]
-            return [f"NOT UNIQUE: one of these {len(commits)} commits changed the outputs first", *commits]
+            return [f"NOT UNIQUE: one of these {counted(len(commits), 'commit')} changed the outputs first", *commits]
         ends = " and ".join(step.commit.short for step in self.steps)
         return [f"equal: {ends} have the same outputs, or the programs are not those of the checkout"]
 

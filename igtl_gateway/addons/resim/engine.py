@@ -22,6 +22,7 @@ from pathlib import Path
 from igtl_gateway.addon import ConfigError, SystemClock, did_you_mean, matches, near_names, unmatched, without_match
 from igtl_gateway.addon.processes import endings_held, make_ready
 from igtl_gateway.addon.reading import SessionFile
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addons.resim.coordinator import Coordinator, Lost, Peer, ProgramFault, Roles
 from igtl_gateway.addons.resim.frames import ABI_VERSION, DEADLINE, INPUT, NEVER, Hello, Remark, welcome
 from igtl_gateway.addons.resim.goals import IN_ACTION
@@ -526,7 +527,7 @@ def faster(processes: Sequence[Process]) -> list[str]:
         threads = each.computing_threads()
         if library and threads > 1 and not any(each.env.get(name) == "1" for name in _ONE_THREAD):
             found.append(
-                f"{each.name}: {threads} threads compute ({library.partition('-')[0].partition('.so')[0]}); "
+                f"{each.name}: {counted(threads, 'thread')} compute ({library.partition('-')[0].partition('.so')[0]}); "
                 f"{_ONE_THREAD[0]}=1 before the command, or in env of a recipe, may be several times faster"
             )
     return found

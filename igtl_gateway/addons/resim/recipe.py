@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import ConfigError
+from igtl_gateway.addon import ConfigError, one_of
 from igtl_gateway.addon.settings import read_toml
 from igtl_gateway.addons.resim.engine import Program
 from igtl_gateway.addons.resim.igtl_peer import IgtlRole, check_role
@@ -68,7 +68,7 @@ def read_recipe(path: Path) -> Recipe:
 def _program(place: str, table: dict[str, Any], beside: Path) -> Program:
     for key in table:
         if key not in _KEYS:
-            raise ConfigError(f"{place}.{key}: unknown key, expected one of {', '.join(_KEYS)}")
+            raise ConfigError(f"{place}.{key}: unknown key, expected {one_of(key, _KEYS)}")
     if "command" not in table:
         raise ConfigError(f"{place}: found no command, expected a string or a list of strings")
     folder = beside / _text(place, table, "folder") if "folder" in table else None
@@ -96,7 +96,7 @@ def _role(place: str, table: dict[str, Any]) -> IgtlRole | None:
     if "igtl" not in table:
         return None
     if table["igtl"] not in _IGTL:
-        raise ConfigError(f"{place}.igtl: found {table['igtl']!r}, expected one of {', '.join(_IGTL)}")
+        raise ConfigError(f"{place}.igtl: found {table['igtl']!r}, expected {one_of(str(table['igtl']), _IGTL)}")
     role = IgtlRole(table["igtl"] == "server", **numbers)
     check_role(f"{place}.port", f"{place}.link", role)
     return role

@@ -15,15 +15,7 @@ from pathlib import Path
 from igtl_gateway.addon import ConfigError, GatewayError, Unavailable
 from igtl_gateway.addon.checking import Tolerance
 from igtl_gateway.addon.reading import SessionFile, check_part, marked_moment, marks_of, since_text
-from igtl_gateway.addon.terminal import (
-    aligned,
-    cell,
-    command,
-    count_text,
-    print_json,
-    print_line,
-    width,
-)
+from igtl_gateway.addon.terminal import aligned, cell, command, count_text, counted, print_json, print_line, width
 from igtl_gateway.addon.untrusted import is_same
 from igtl_gateway.addon.writing import check_target, open_new, write_bytes, written
 from igtl_gateway.addons.resim.bisect import Step, bisect, bisection_facts
@@ -206,7 +198,7 @@ def _run_several(
     """A row for each recording; a line below for each that is not equal."""
     for name in ("record", "junit"):
         if getattr(options, name):
-            raise ConfigError(f"--{name}: found {len(options.files)} recordings, expected one")
+            raise ConfigError(f"--{name}: found {counted(len(options.files), 'recording')}, expected one")
     facts: list[dict[str, object]] = []
     lines: list[str] = []
     columns = max(len("recording"), width(str(path) for path in options.files))
@@ -266,7 +258,7 @@ def _run_bisect(
         print_line(f"{step.mark:4}  {step.commit.short}  {step.commit.subject}: {step.text}")
 
     if len(options.files) > 1:
-        raise ConfigError(f"--bisect: found {len(options.files)} recordings, expected one")
+        raise ConfigError(f"--bisect: found {counted(len(options.files), 'recording')}, expected one")
     [recording] = options.files
     result = bisect(
         options.bisect,

@@ -33,6 +33,7 @@ from igtl_gateway.addon.checking import (
     first_byte,
 )
 from igtl_gateway.addon.reading import Entry, Kind, Qos, SessionFile, recorded_units
+from igtl_gateway.addon.terminal import count_text, counted
 from igtl_gateway.addons.resim.coordinator import Roles
 from igtl_gateway.addons.resim.engine import Run, RunResult
 from igtl_gateway.addons.resim.frames import NEVER
@@ -271,7 +272,7 @@ class Verdict:
             return f"NOT DETERMINISTIC: run {self.unequal_run} differs from run 1: {first.text(self.start_ns)}{likely}"
         if self.race and self.is_racing:
             return f"NOT DETERMINISTIC: {self.race.text(self.start_ns)}; likely cause: {self.race.cause}"
-        same = f"deterministic: {self.runs} of {self.runs} runs equal" if self.runs > 1 else "1 run"
+        same = f"deterministic: {self.runs} of {counted(self.runs, 'run')} equal" if self.runs > 1 else "1 run"
         if self.is_sampled and self.race and self.reference and first:
             differing = sorted(each.stream for each in self.streams if not each.is_equal)
             shown = ", ".join(differing[:_NAMED]) + (" …" if len(differing) > _NAMED else "")
@@ -283,7 +284,7 @@ class Verdict:
             same += f", but {self.race.text(self.start_ns)}"
         if self.reference and first:
             wrong = sum(not each.is_equal for each in self.streams)
-            what = f"{wrong} of {len(self.streams)} streams"
+            what = f"{wrong} of {counted(len(self.streams), 'stream')}"
             return f"DIFFERENT from {self.reference.name} in {what} ({same}): {first.text(self.start_ns)}"
         if self.race and self.race.is_sample and not self.permits_races:
             same += f" ({self.race.text(self.start_ns)})"
@@ -296,7 +297,9 @@ class Verdict:
         if not self.streams:
             return f"{same}; {self.reference.name} has none of the outputs to compare with{left}"
         within = sum(each.within for each in self.streams)
-        how = f"equal to {self.reference.name}" + (f" within the tolerance ({within:,} messages)" if within else "")
+        how = f"equal to {self.reference.name}" + (
+            f" within the tolerance ({count_text(within, 'message')})" if within else ""
+        )
         return f"{same}; {how}{left}"
 
 

@@ -22,6 +22,7 @@ from igtl_gateway.addon.messages import frame_id
 from igtl_gateway.addon.reading import Entry, EntryStream, Head, Heads, Kind, Rows
 from igtl_gateway.addon.ros import PointCloud2
 from igtl_gateway.addon.streams import StreamTimes
+from igtl_gateway.addon.terminal import by_count, count_text
 from igtl_gateway.addons.review.addon import NO_CLOUD, NO_PLAN
 from igtl_gateway.addons.review.choices import CLOUDS
 from igtl_gateway.addons.review.frames import FramePoses
@@ -165,7 +166,10 @@ class Material:
         if len(clouds) > self._limit:
             clouds = [clouds[number * len(clouds) // self._limit] for number in range(self._limit)]
         if len(clouds) < stream.seen:
-            self.notes.append(f"{len(clouds)} of {stream.seen:,} clouds of {topic} are used, evenly distributed")
+            self.notes.append(
+                f"{len(clouds)} of {count_text(stream.seen, 'cloud')} of {topic} "
+                f"{by_count(len(clouds), 'is', 'are')} used, evenly distributed"
+            )
         return DepthScene.of(clouds), topic
 
     def versions(self, scene: DepthScene) -> list[DrawnPlan]:

@@ -25,6 +25,7 @@ from igtl_gateway.addon.ros import (
     TrajectoryList,
     TransformStamped,
 )
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addons.review.scene import DepthCloud
 
 Array = npt.NDArray[Any]
@@ -136,7 +137,8 @@ def _positions(message: PointCloud2) -> Array | None:
     ends = [offset + kind.itemsize for offset, kind in zip(offsets, places.values(), strict=True)]
     if max(ends) > step or message.row_step * (height - 1) + width * step > data.nbytes:
         raise ConversionError(
-            f"{message.TYPE}: found {data.nbytes} bytes, expected {height} rows of {width} points of {step} bytes"
+            f"{message.TYPE}: found {counted(data.nbytes, 'byte')}, expected {counted(height, 'row')} of "
+            f"{counted(width, 'point')} of {counted(step, 'byte')}"
         )
     layout = np.dtype({"names": list(places), "formats": list(places.values()), "offsets": offsets, "itemsize": step})
     points = np.ndarray((height, width), layout, data, 0, (message.row_step, step))

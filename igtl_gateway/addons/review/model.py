@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy.typing as npt
 
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addons.review.choices import Thresholds
 
 Array = npt.NDArray[Any]
@@ -218,7 +219,10 @@ class Review:
 
     def __repr__(self) -> str:
         wrong = ", ".join(stitch.label for stitch in self.last.wrong) or "none"
-        return f"<Review: {len(self.last.stitches)} stitches of plan {len(self.plans)}, wrong: {wrong}>"
+        return (
+            f"<Review: {counted(len(self.last.stitches), 'stitch', 'stitches')} of plan {len(self.plans)}, wrong: "
+            f"{wrong}>"
+        )
 
     @property
     def first(self) -> PlanReview:

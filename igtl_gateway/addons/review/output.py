@@ -126,7 +126,9 @@ def print_review(path: Path, review: Review, start_ns: int) -> None:
     cloud, plans = review.cloud, review.plans
     stitches = count_text(len(review.last.stitches), "stitch", "stitches")
     print_line(f"{path}: {stitches}, {count_text(len(plans), 'version')} of the plan")
-    size = f"{cloud.width} × {cloud.height}" if cloud.height > 1 else f"{cloud.width:,} points, not organised"
+    size = (
+        f"{cloud.width} × {cloud.height}" if cloud.height > 1 else f"{count_text(cloud.width, 'point')}, not organised"
+    )
     print_line(f"  cloud  {cloud.topic}, {count_text(cloud.clouds, 'cloud')} of {size}, frame {cloud.frame_id}")
     low, middle, high = _noise(review)
     if middle is not None:

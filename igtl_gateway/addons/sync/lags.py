@@ -15,6 +15,7 @@ from igtl_gateway.addon.reading import Kind, RecordedMessage, Stream
 from igtl_gateway.addon.ros import Image as RosImage
 from igtl_gateway.addon.ros import Marker, PointCloud2, PointList, PointStamped, TFMessage, Volume
 from igtl_gateway.addon.streams import NAME_FIELDS, by_name, completed
+from igtl_gateway.addon.terminal import count_text, counted
 from igtl_gateway.addons.sync.defaults import CUT_OFF_HZ
 from igtl_gateway.addons.sync.lag import Lag, measure_lag, measure_together
 from igtl_gateway.addons.sync.plus import line_height
@@ -80,7 +81,9 @@ def lag(
             raise ConfigError(f"{name}: found {value:g}, expected more than 0")
     one, other = ([each] if isinstance(each, Stream) else list(each) for each in (fixed, moving))
     if len(one) != len(other) or not one:
-        raise ConfigError(f"found {len(one)} fixed and {len(other)} moving streams, expected as many of each")
+        raise ConfigError(
+            f"found {len(one)} fixed and {counted(len(other), 'moving stream')}, expected as many of each"
+        )
     pairs = [
         (movement(first, frame=frame, line=line), movement(second, frame=frame, line=line))
         for first, second in zip(one, other, strict=True)
@@ -143,7 +146,9 @@ def movements(
     if len(inputs) > _MOST_STREAMS:
         inputs = [stream for stream in inputs if stream.count >= LEAST_SAMPLES]
     if len(inputs) > _MOST_STREAMS:
-        raise GatewayError(f"found {len(inputs):,} input streams, expected up to {_MOST_STREAMS}, or their names")
+        raise GatewayError(
+            f"found {count_text(len(inputs), 'input stream')}, expected up to {_MOST_STREAMS}, or their names"
+        )
     for stream in inputs:
         try:
             found.append(movement(stream, frame=frame, line=line))

@@ -11,14 +11,10 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import NS_PER_S, ConfigError, GatewayError, did_you_mean, near_streams
+from igtl_gateway.addon import NS_PER_S, ConfigError, GatewayError, streams_expected
 from igtl_gateway.addon.notes import StampCorrection
 from igtl_gateway.addon.reading import Kind, Recording, Stream, open_recording
-from igtl_gateway.addon.terminal import (
-    aligned,
-    print_json,
-    print_line,
-)
+from igtl_gateway.addon.terminal import aligned, count_text, counted, print_json, print_line
 from igtl_gateway.addon.writing import check_target, write_text, written
 from igtl_gateway.addons.sync import plot
 from igtl_gateway.addons.sync.correcting import write_corrected
@@ -38,7 +34,9 @@ def run(options: argparse.Namespace) -> int:
         signals = _signals(opened, options)
         pairs = _pairs(opened, options)
     if len(signals) < 2:
-        raise GatewayError(f"{options.file}: found {len(signals)} streams in which something could move, expected two")
+        raise GatewayError(
+            f"{options.file}: found {counted(len(signals), 'stream')} in which something could move, expected two"
+        )
     fixed, *others = signals
     lags = [(signal, _measure(fixed, signal, pairs, options)) for signal in others]
     if options.plot:
@@ -63,11 +61,11 @@ def _check(options: argparse.Namespace) -> None:
         if value is not None and not 0 < value < math.inf:
             raise ConfigError(f"--{name.replace('_', '-')}: found {value:g}, expected more than 0")
     if options.pair and len(options.streams) != 2:
-        raise ConfigError(f"--pair: found {len(options.streams)} streams, expected two before it")
+        raise ConfigError(f"--pair: found {counted(len(options.streams), 'stream')}, expected two before it")
     if options.apply != (options.output is not None):
         raise ConfigError("--apply: found it or -o OUT alone, expected both")
     if options.apply and (len(options.streams) != 2 or options.other):
-        raise ConfigError(f"--apply: found {len(options.streams)} streams, expected two of one file")
+        raise ConfigError(f"--apply: found {counted(len(options.streams), 'stream')}, expected two of one file")
     if options.overwrite and not (options.output or options.plot):
         raise ConfigError("--overwrite: found neither -o nor --plot, expected one: the option has no effect here")
     for target in (options.output, options.plot):
@@ -90,15 +88,13 @@ def _signals(opened: Sequence[Recording], options: argparse.Namespace) -> list[S
 
 
 def stream_named(opened: Sequence[Recording], name: str) -> Stream:
-    """Return a stream of the first recording that has it.  Raises GatewayError."""
+    """Return a stream of the first recording that has it.  Raises ConfigError."""
     for each in opened:
         if name in each:
             return each[name]
-    files, names = (", ".join(map(str, words)) for words in ([each.path for each in opened], chain(*opened)))
-    question = did_you_mean(near_streams(name, chain(*opened)))
-    raise GatewayError(
-        f"{files}: found no stream {name!r}" + (f"; {question}" if question else f", expected one of {names}")
-    )
+    files = ", ".join(str(each.path) for each in opened)
+    expected = streams_expected([name], chain(*opened), opened[0].path)
+    raise ConfigError(f"{files}: found no stream {name!r}, {expected}")
 
 
 def _pairs(opened: Sequence[Recording], options: argparse.Namespace) -> list[tuple[Signal, Signal]]:
@@ -145,7 +141,7 @@ def _finite(value: Any) -> Any:
 
 
 def _print(fixed: Signal, lags: Sequence[tuple[Signal, Lag]]) -> None:
-    print_line(f"behind {fixed.name}: {len(fixed.times_ns):,} samples, {1 / fixed.period_s:.1f} Hz")
+    print_line(f"behind {fixed.name}: {count_text(len(fixed.times_ns), 'sample')}, {1 / fixed.period_s:.1f} Hz")
     rows = [("stream", "lag", "95 %", "R²", "skew", "samples", ""), *(_row(*each) for each in lags)]
     print_line(*aligned(rows, left=1, text=True))
     unstamped = [signal.name for signal in (fixed, *(signal for signal, _ in lags)) if not signal.is_stamped]
@@ -173,7 +169,7 @@ def _row(signal: Signal, lag: Lag) -> tuple[str, ...]:
 def _remarks(lag: Lag) -> Iterator[str]:
     if lag.verdict.has_lag and len(lag.windows) > 1:
         spread = [window.lag_s * 1e3 for window in lag.windows]
-        text = f"{min(spread):+.1f} to {max(spread):+.1f} ms in {len(spread)} windows"
+        text = f"{min(spread):+.1f} to {max(spread):+.1f} ms in {counted(len(spread), 'window')}"
         yield f"{lag.verdict.value}: {text}" if lag.verdict.name == "VARIES" else text
     if lag.verdict.has_lag and not math.isnan(lag.period_s):
         yield f"period {lag.period_s:.2f} s; this is the lag if it is below a quarter of it, as --max-lag states"

@@ -14,6 +14,7 @@ from typing import Any
 from igtl_gateway.addon import python_command
 from igtl_gateway.addon.processes import Child
 from igtl_gateway.addon.reading import Level, Note
+from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addons.upload.place import UploadPlace
 from igtl_gateway.addons.upload.upload_process import END_S
 from igtl_gateway.addons.upload.uploading import WAITS
@@ -74,7 +75,7 @@ class BridgeUploads:
     def left_text(self) -> str:
         """Return what was uploaded, and what is left and how it is finished."""
         found = self.counters()
-        done = f"upload: {found['confirmed']:,} files confirmed"
+        done = f"upload: {count_text(found['confirmed'], 'file')} confirmed"
         if not found["waiting"]:
             return done
         command = f"igtl-gateway keep {shlex.quote(str(self._folder))} --upload {shlex.quote(str(self._place))}"

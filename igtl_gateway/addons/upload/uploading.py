@@ -30,6 +30,7 @@ from igtl_gateway.addon.reading import (
     open_unlinked,
     recording_name,
 )
+from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addon.writing import os_error_text
 from igtl_gateway.addons.upload.place import UploadPlace
 from igtl_gateway.addons.upload.s3 import RateLimit, S3Store, StoredObject, StoreError
@@ -206,7 +207,9 @@ class Uploader:
         self.counts.last_confirmed_ns = self._clock.utc_ns()
         data = {"file": name, "bytes": recording.size, "sha256": state.files[name].sha256}
         self._on_note(
-            Note(Level.INFO, CONFIRMED, f"upload: the store has {name} ({recording.size:,} bytes)", data=data)
+            Note(
+                Level.INFO, CONFIRMED, f"upload: the store has {name} ({count_text(recording.size, 'byte')})", data=data
+            )
         )
         return True
 
@@ -218,7 +221,9 @@ class Uploader:
             )
         known = state.files.get(recording.name, FileState())
         if known.sha256 and not known.is_of(recording):
-            raise ContentDiffers(f"found {recording.size:,} bytes that changed after it was closed, expected no change")
+            raise ContentDiffers(
+                f"found {count_text(recording.size, 'byte')} that changed after it was closed, expected no change"
+            )
         with closing(open_unlinked(recording.path)) as stream:
             if file_identity(os.fstat(stream.fileno())) != recording.identity:
                 raise ContentDiffers("found another file than a moment ago")
@@ -256,7 +261,7 @@ class Uploader:
             raise StoreError("the store accepted the file, and does not have it")
         if (found.size, found.sha256) != (known.size, known.sha256):
             raise ContentDiffers(
-                f"the store has another object with this key: found {found.size:,} bytes with SHA-256 "
+                f"the store has another object with this key: found {count_text(found.size, 'byte')} with SHA-256 "
                 f"{found.sha256[:16] or 'unknown'}, expected {known.size:,} with {known.sha256[:16]}"
             )
         if known.etag != found.etag and known.checksum != found.checksum:

@@ -16,7 +16,7 @@ from typing import Any
 
 import rerun.blueprint as rrb
 
-from igtl_gateway.addon import ConfigError
+from igtl_gateway.addon import ConfigError, one_of
 from igtl_gateway.addon.reading import Kind
 from igtl_gateway.addons.view.contents import (
     CHOSEN,
@@ -84,7 +84,7 @@ def blueprint(name: str, seen: SessionContents) -> rrb.Blueprint:
     Raises ConfigError for an unknown name.
     """
     if name not in _BLUEPRINTS:
-        raise ConfigError(f"blueprint: found {name!r}, expected {', '.join(NAMES)}")
+        raise ConfigError(f"blueprint: found {name!r}, expected {one_of(name, NAMES)}")
     return rrb.Blueprint(
         _BLUEPRINTS[name](seen),
         rrb.TimePanel(state="collapsed", timeline=TIME_LINE),

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import ConfigError, did_you_mean, near_names, near_streams
+from igtl_gateway.addon import ConfigError, near_streams, one_of, streams_expected
 from igtl_gateway.addon.reading import Recording, Stream, session_of
 from igtl_gateway.addon.streams import FieldReader
 from igtl_gateway.addons.view.rhythm import Rhythm
@@ -46,10 +46,8 @@ def series_of(recording: Recording, word: str) -> Series:
     if found is None or not any(np.isfinite(values).any() for values in found.fields.values()):
         every = max(1, len(stream) // _LOOKED_AT)
         known = list(FieldReader.of(stream, definitions).of_blocks(stream.blocks(), every).fields)
-        question = did_you_mean(near_names(field, known)) if field else ""
-        shown = ", ".join(known[:_NAMED]) + (" …" if len(known) > _NAMED else "")
         what = f"found no number {field!r} in {stream.key}" if field else f"found no field behind {stream.key}"
-        raise ConfigError(f"--plot {word}: {what}; {question or f'expected one of {shown or None}'}")
+        raise ConfigError(f"--plot {word}: {what}, expected {one_of(field, known, _NAMED)}")
     times = found.times
     gaps = Rhythm().gaps(times)
     some = list(found.fields.items())[:_MOST]
@@ -66,5 +64,5 @@ def _stream_of(recording: Recording, word: str) -> tuple[Stream, str]:
     begin = word.split("[", maxsplit=1)[0]
     wanted = [begin, *(begin[: dot.start()] for dot in reversed(list(re.finditer(r"\.", begin))))]
     near = next((found for each in wanted if (found := near_streams(each, recording))), [])
-    expected = did_you_mean(near) if near else f"expected STREAM.FIELD with one of {', '.join(recording)}"
-    raise ConfigError(f"--plot {word}: found no stream of this name; {expected}")
+    expected = streams_expected(near or [begin], recording, recording.path)
+    raise ConfigError(f"--plot {word}: found no stream of this name, {expected}")

@@ -10,6 +10,7 @@ import rerun as rr
 
 from igtl_gateway.addon import ConversionError
 from igtl_gateway.addon.ros import POINT_FIELD_DTYPES, PointCloud2, PointList, PointStamped
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addons.view import colours
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.contents import EntityKind
@@ -73,7 +74,10 @@ def columns(message: PointCloud2) -> dict[str, Array]:
     row = message.width * message.point_step
     size = memoryview(message.data).nbytes
     if (message.height > 1 and message.row_step < row) or size < message.row_step * (message.height - 1) + row:
-        raise ConversionError(f"{message.TYPE}: found {size} bytes, expected {message.height} rows of {row} bytes")
+        raise ConversionError(
+            f"{message.TYPE}: found {counted(size, 'byte')}, expected {counted(message.height, 'row')} of "
+            f"{counted(row, 'byte')}"
+        )
     order = ">" if message.is_bigendian else "<"
     found: dict[str, Array] = {}
     for item in message.fields:

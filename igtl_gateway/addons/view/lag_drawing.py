@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import rerun as rr
 
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addons.sync.curves import lag_curves, lag_text
 from igtl_gateway.addons.sync.lag import Lag
 from igtl_gateway.addons.sync.signal import Signal
@@ -38,7 +39,7 @@ def _text(fixed: Signal, moving: Signal, lag: Lag) -> str:
         rows.append(("skew", f"{lag.skew_ppm:+.0f} ppm"))
     if lag.windows:
         spread = [window.lag_s * 1e3 for window in lag.windows]
-        rows.append((f"{len(spread)} windows", f"{min(spread):+.1f} to {max(spread):+.1f} ms"))
+        rows.append((counted(len(spread), "window"), f"{min(spread):+.1f} to {max(spread):+.1f} ms"))
     rows.append(("samples", f"{lag.samples:,}"))
     table = "\n".join(f"| {name} | {value} |" for name, value in rows)
     return f"**{_plain(moving.name)} behind {_plain(fixed.name)}**\n\n| | |\n|---|---|\n{table}"

@@ -15,6 +15,7 @@ import rerun as rr
 from igtl_gateway.addon.checking import Session, make_core
 from igtl_gateway.addon.reading import Entry, Kind
 from igtl_gateway.addon.settings import Config
+from igtl_gateway.addon.terminal import by_count, count_text
 from igtl_gateway.addons.view.canvas import Options
 from igtl_gateway.addons.view.session import SessionView
 from igtl_gateway.addons.view.stream import arrange, to_viewer
@@ -164,6 +165,9 @@ class LiveWindow:
             self._recording.disconnect()  # before the viewer exits, or rerun logs an error
         messages = [self._view.failure] if self._view.failure and not closed else []
         if self._view.dropped:
-            messages.append(f"{self._view.dropped:,} entries were dropped: the viewer was too slow")
+            messages.append(
+                f"{count_text(self._view.dropped, 'entry', 'entries')} "
+                f"{by_count(self._view.dropped, 'was', 'were')} dropped: the viewer was too slow"
+            )
         self._viewer.close()
         return "; ".join(messages)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 from igtl_gateway.addon import GatewayError, UnsupportedRecording
+from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addon.untrusted import files, parse_xml
 
 #: Bytes of one mesh, and of all meshes of a session.
@@ -66,7 +67,7 @@ class MeshFolders:
         if mesh is None:
             size = files.size_of(path)
             if size > MAX_BYTES or self._bytes + size > MAX_ALL_BYTES:
-                raise UnsupportedRecording(f"{path}: found {size:,} bytes, expected at most {MAX_BYTES:,}")
+                raise UnsupportedRecording(f"{path}: found {count_text(size, 'byte')}, expected at most {MAX_BYTES:,}")
             with files.open_file(path) as stream:
                 data = stream.read(MAX_BYTES)
             _check(data, path)

@@ -13,6 +13,7 @@ import rerun as rr
 from igtl_gateway.addon import ConversionError
 from igtl_gateway.addon.igtl import NDARRAY_SCALARS
 from igtl_gateway.addon.ros import JointState, Joy, MultiArray, NdArray, Sensor, TwistStamped, WrenchStamped
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import line_colour
 from igtl_gateway.addons.view.contents import EntityKind
@@ -45,7 +46,9 @@ def _joint_curves(canvas: Canvas, names: tuple[str, ...], values: list[Any], uni
         return
     if len(set(names)) != len(values) or len(names) != len(values):
         if names:
-            canvas.text_once(f"found {len(values)} numbers and the names {', '.join(names)[:200]}, expected one each")
+            canvas.text_once(
+                f"found {counted(len(values), 'number')} and the names {', '.join(names)[:200]}, expected one each"
+            )
             child = f"{child}/unnamed" if child else "unnamed"
         _curves(canvas, values, (), child)
         return

@@ -26,6 +26,7 @@ from igtl_gateway.addon.messages import (
 )
 from igtl_gateway.addon.reading import Buffer
 from igtl_gateway.addon.ros import CameraInfo, ColorTable, CompressedImage, CompressedVideo, Image, VideoFrame
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addons.view.arrays import ColumnOf, image_of_pixels
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import span
@@ -149,7 +150,7 @@ def draw_video_frame(message: VideoFrame, canvas: Canvas) -> None:
         octets = width * height * 3 // 2
         data = bytes(message.data[:octets])
         if len(data) < octets:
-            raise ConversionError(f"{message.TYPE}: found {len(data)} bytes of I420, expected {octets}")
+            raise ConversionError(f"{message.TYPE}: found {counted(len(data), 'byte')} of I420, expected {octets}")
         canvas.shown.width, canvas.shown.height = width, height
         pixel_format = rr.PixelFormat.Y_U_V12_LimitedRange
         canvas.log(rr.Image(bytes=data, width=width, height=height, pixel_format=pixel_format))
@@ -222,7 +223,8 @@ def _rows(message: Image, kind: str, channels: int) -> Array:
     size = memoryview(message.data).nbytes
     if step < row or size < step * (height - 1) + row * (height > 0) or not height or not width:
         raise ConversionError(
-            f"{message.TYPE}: found {size} bytes with step {message.step}, expected {height} rows of {row} bytes"
+            f"{message.TYPE}: found {counted(size, 'byte')} with step {message.step}, expected "
+            f"{counted(height, 'row')} of {counted(row, 'byte')}"
         )
     strides = (step, channels * dtype.itemsize, dtype.itemsize)
     pixels: Array = np.ndarray((height, width, channels), dtype, message.data, 0, strides)
@@ -243,7 +245,8 @@ def _subsampled(message: Image, encoding: str) -> rr.Image:
         raise ConversionError(f"{message.TYPE}: found {width} x {height} of {message.encoding}, expected even numbers")
     if step < row or size < step * (rows - 1) + row:
         raise ConversionError(
-            f"{message.TYPE}: found {size} bytes with step {step}, expected {rows} rows of {row} bytes"
+            f"{message.TYPE}: found {counted(size, 'byte')} with step {step}, expected {counted(rows, 'row')} of "
+            f"{counted(row, 'byte')}"
         )
     data: Array = np.ascontiguousarray(np.ndarray((rows, row), np.uint8, message.data, 0, (step, 1)))
     if encoding in _UYVY:

@@ -7,6 +7,7 @@ import numpy.typing as npt
 import rerun as rr
 
 from igtl_gateway.addon.reading import Entry, Kind
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addons.review import Level, PlanReview, Review, StitchReview
 from igtl_gateway.addons.view import colours
 from igtl_gateway.addons.view.contents import (
@@ -131,7 +132,8 @@ def _label(stitch: StitchReview) -> str:
 def _table(review: Review, plan: PlanReview, number: int, red_mm: float) -> str:
     """Return a table of the stitches, the worst first; reasons are above the table, where lines wrap."""
     lines = [
-        f"**Plan {number} of {len(review.plans)}**, {plan.topic}: {len(plan.wrong)} of {len(plan.stitches)} stitches "
+        f"**Plan {number} of {len(review.plans)}**, {plan.topic}: {len(plan.wrong)} of "
+        f"{counted(len(plan.stitches), 'stitch', 'stitches')} "
         "are wrong.",
         "",
         *(

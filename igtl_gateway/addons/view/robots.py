@@ -16,6 +16,7 @@ import numpy as np
 import rerun as rr
 
 from igtl_gateway.addon import RecordingError
+from igtl_gateway.addon.terminal import by_count, counted
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import GREY, rgba
 from igtl_gateway.addons.view.contents import EntityKind
@@ -117,7 +118,7 @@ class Robots:
         canvas.shown.what = EntityKind.ROBOT
         canvas.frame(robot.frame(model.root))
         canvas.shown.links = tuple(map(robot.frame, links))
-        canvas.text(f"robot {model.name}: {len(links)} links, {len(joints)} joints")
+        canvas.text(f"robot {model.name}: {counted(len(links), 'link')}, {counted(len(joints), 'joint')}")
         self._draw(robot, model, links, urdf)
 
     def move(self, names: tuple[str, ...], positions: Sequence[float], canvas: Canvas) -> None:
@@ -200,7 +201,10 @@ class Robots:
                 canvas.log(*body, child=child, frame=robot.frame(link), static=urdf is not None)
         if missing:
             meshes = sum(visual.shape == "mesh" for visuals in model.visuals.values() for visual in visuals)
-            text = f"{len(missing)} of {meshes} meshes are missing: {missing[0]}"
+            text = (
+                f"{len(missing)} of {counted(meshes, 'mesh', 'meshes')} {by_count(len(missing), 'is', 'are')} "
+                f"missing: {missing[0]}"
+            )
             canvas.text(text, "WARN")
 
     def _body(self, visual: Visual, urdf: Path | None, missing: list[str]) -> list[Any] | None:

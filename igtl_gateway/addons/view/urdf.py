@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from igtl_gateway.addon import DamagedRecording
+from igtl_gateway.addon.terminal import count_text, counted
 from igtl_gateway.addon.untrusted import Element, limits, parse_xml
 from igtl_gateway.addons.view.robot_model import (
     MOVING,
@@ -39,7 +40,7 @@ def parse_urdf(data: str | bytes, place: str) -> Robot:
         raise DamagedRecording(f"{place}: line {root.line}: found <{root.name[:40]}>, expected <robot>")
     links = root.all("link")
     if len(links) > MAX_LINKS:
-        raise limits.exceeded("document", f"{len(links):,} links", place, f"{MAX_LINKS:,}")
+        raise limits.exceeded("document", count_text(len(links), "link"), place, f"{MAX_LINKS:,}")
     names = [_named(link, place) for link in links]
     if not names or len(set(names)) != len(names):
         twice = next((name for name in names if names.count(name) > 1), "")
@@ -60,7 +61,7 @@ def parse_urdf(data: str | bytes, place: str) -> Robot:
         if (bodies := tuple(_visuals(link, materials, place)))
     }
     if (bodies_found := sum(map(len, visuals.values()))) > MAX_VISUALS:
-        raise limits.exceeded("document", f"{bodies_found:,} bodies", place, f"{MAX_VISUALS:,}")
+        raise limits.exceeded("document", count_text(bodies_found, "body", "bodies"), place, f"{MAX_VISUALS:,}")
     name = root.attributes.get("name", "") or base
     return Robot(name, base, tuple(_driven(joint, joints, place) for joint in ordered), visuals)
 
@@ -76,7 +77,7 @@ def _tree(names: Sequence[str], joints: Sequence[Joint], place: str) -> tuple[st
         below.setdefault(joint.parent, []).append(joint)
     roots = [name for name in names if name not in children]
     if len(roots) != 1:
-        found = f"{len(roots)} links without a parent" if roots else "a ring of links"
+        found = f"{counted(len(roots), 'link')} without a parent" if roots else "a ring of links"
         raise DamagedRecording(f"{place}: found {found}, expected one tree")
     ordered: list[Joint] = []
     waiting = [roots[0]]
@@ -211,5 +212,5 @@ def _parsed(element: Element | None, key: str, default: tuple[float, ...], at: s
     except ValueError:
         values = ()
     if len(values) != len(default) or not all(abs(value) < _HUGE for value in values):
-        raise DamagedRecording(f"{at}: found {key}={text[:40]!r}, expected {len(default)} finite numbers")
+        raise DamagedRecording(f"{at}: found {key}={text[:40]!r}, expected {counted(len(default), 'finite number')}")
     return values

@@ -23,6 +23,7 @@ from igtl_gateway.addon import (
     ViewerError,
     did_you_mean,
     near_names,
+    one_of,
 )
 from igtl_gateway.addon.processes import is_present, is_program, missing, part_of
 from igtl_gateway.addon.reading import (
@@ -188,7 +189,7 @@ def _draw(
     from igtl_gateway.addons.view.session import SessionView
 
     if options.blueprint and options.blueprint not in NAMES:
-        raise ConfigError(f"--blueprint: found {options.blueprint!r}, expected {', '.join(NAMES)}")
+        raise ConfigError(f"--blueprint: found {options.blueprint!r}, expected {one_of(options.blueprint, NAMES)}")
     with SessionFile.open(path) as file:
         config = config_to_run(file.session)
         again = f"-{number + 1}" if number else ""
@@ -391,14 +392,12 @@ def _print(options: argparse.Namespace, path: Path, view: SessionView, facts: di
         print_line(f"? {text}")
     for namespace in facts["without_joints"]:
         joints = {topic.rpartition("/")[0] for topic, shown in view.seen.shown.items() if "Joint" in shown.ros_type}
-        question = did_you_mean(near_names(namespace, joints))
+        question = did_you_mean(near_names(namespace, sorted(joints)))
         print_line(
             f"? --urdf {namespace}: found no topic below it: nothing moves the robot{question and f'; {question}'}"
         )
     if facts["without_field"]:
-        fields = ", ".join(sorted(view.seen.fields)) or "none"
-        question = did_you_mean(near_names(options.colour_by, view.seen.fields))
-        expected = f"expected one of: {fields}{question and f'; {question}'}"
+        expected = f"expected {one_of(options.colour_by, sorted(view.seen.fields))}"
         print_line(f"? --colour-by: found no cloud with a field {options.colour_by!r}, {expected}")
     all_of_them = count_text(facts["messages"], "message")
     drawn = all_of_them if facts["drawn"] == facts["messages"] else f"{facts['drawn']:,} of {all_of_them}"

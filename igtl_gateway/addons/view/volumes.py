@@ -11,6 +11,7 @@ import rerun as rr
 from igtl_gateway.addon import ConversionError
 from igtl_gateway.addon.igtl import SCALARS
 from igtl_gateway.addon.ros import Volume
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addons.view.arrays import ColumnOf, image_of_pixels, textured_surface
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import span
@@ -71,7 +72,9 @@ def array_of(message: Volume) -> Array:
     count = width * height * depth * message.components
     if not count or memoryview(message.data).nbytes < count * dtype.itemsize:
         found = memoryview(message.data).nbytes
-        raise ConversionError(f"{message.TYPE}: found {found} bytes, expected {count * dtype.itemsize}, more than 0")
+        raise ConversionError(
+            f"{message.TYPE}: found {counted(found, 'byte')}, expected {count * dtype.itemsize}, more than 0"
+        )
     flat = np.frombuffer(message.data, dtype, count).astype(dtype.newbyteorder("="), copy=False)
     return flat.reshape(depth, height, width, message.components)
 

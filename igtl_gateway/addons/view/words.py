@@ -8,6 +8,7 @@ import rerun as rr
 
 from igtl_gateway.addon import ConversionError, RecordingError, ros
 from igtl_gateway.addon.ros import DiagnosticStatus, Empty, Log, OperatingState, String, StringStamped
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addons.view.canvas import Canvas
 
 #: Last part of the topic of a URDF (robot_state_publisher).
@@ -124,7 +125,7 @@ def draw_videos(message: ros.VideoMetaList, canvas: Canvas) -> None:
 
 def draw_raw(message: ros.RawMessage, canvas: Canvas) -> None:
     """igtl_msgs/RawMessage: bytes of a type without a conversion."""
-    _log_text(canvas, f"{message.type} {message.device_name}: {memoryview(message.data).nbytes} bytes")
+    _log_text(canvas, f"{message.type} {message.device_name}: {counted(memoryview(message.data).nbytes, 'byte')}")
 
 
 def _size(size: Sequence[int]) -> str:

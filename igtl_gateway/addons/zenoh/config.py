@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.addon import ConfigError, GatewayError
+from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addon.untrusted import check_nesting, files, limits, whole_number
 from igtl_gateway.addons.zenoh.library import first_line, import_zenoh
 from igtl_gateway.addons.zenoh.notation import ZENOH_ENDPOINT
@@ -124,7 +125,9 @@ def _check_endpoints(config: Any) -> None:
         found = value_of(config, name)
         for each in found.values() if isinstance(found, dict) else (found,):
             if isinstance(each, list) and len(each) > _MOST_ENDPOINTS:  # Zenoh makes a task for each, and does not end
-                raise ConfigError(f"{name}: found {len(each):,} endpoints, expected at most {_MOST_ENDPOINTS}")
+                raise ConfigError(
+                    f"{name}: found {count_text(len(each), 'endpoint')}, expected at most {_MOST_ENDPOINTS}"
+                )
 
 
 def _check_files(config: Any) -> None:

@@ -18,6 +18,7 @@ from typing import Any
 
 from igtl_gateway.addon import StrEnum
 from igtl_gateway.addon.reading import Qos
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addons.zenoh.library import import_xxhash
 
 #: The first chunk of all tokens of ROS.
@@ -163,10 +164,10 @@ def attachment(sequence: int, stamp_ns: int, of_gid: bytes) -> bytes:
 def read_attachment(found: bytes) -> tuple[int, int, bytes]:
     """Return sequence number, time and gid.  Raises ValueError for anything else than ``attachment`` makes."""
     if len(found) != ATTACHMENT_BYTES:
-        raise ValueError(f"found an attachment of {len(found)} bytes, expected {ATTACHMENT_BYTES}")
+        raise ValueError(f"found an attachment of {counted(len(found), 'byte')}, expected {ATTACHMENT_BYTES}")
     sequence, stamp_ns, size, of_gid = _ATTACHMENT.unpack(found)
     if size != _GID_BYTES:
-        raise ValueError(f"found a gid of {size} bytes in the attachment, expected {_GID_BYTES}")
+        raise ValueError(f"found a gid of {counted(size, 'byte')} in the attachment, expected {_GID_BYTES}")
     return sequence, stamp_ns, of_gid
 
 
@@ -194,10 +195,10 @@ def read_token(token: str) -> Entity:
     Later releases append fields, which are ignored.
     """
     if len(token) > LONGEST_TOKEN:
-        raise ValueError(f"found a token of {len(token)} characters, expected {LONGEST_TOKEN} at most")
+        raise ValueError(f"found a token of {counted(len(token), 'character')}, expected {LONGEST_TOKEN} at most")
     fields = token.split("/")
     if len(fields) < 9 or fields[0] != SPACE:
-        raise ValueError(f"found {len(fields)} fields, expected 9 or more after {SPACE}")
+        raise ValueError(f"found {counted(len(fields), 'field')}, expected 9 or more after {SPACE}")
     _, domain, zid, node_number, number, kind, _enclave, namespace, name = fields[:9]
     if not (_NUMBER.fullmatch(domain) and _NUMBER.fullmatch(node_number) and _NUMBER.fullmatch(number)):
         raise ValueError("found no numbers for domain, node and entity")
@@ -211,7 +212,7 @@ def read_token(token: str) -> Entity:
     if what is Kind.NODE:
         return Entity(node, int(number), what)
     if len(fields) < 13:
-        raise ValueError(f"found {len(fields)} fields, expected 13 or more")
+        raise ValueError(f"found {counted(len(fields), 'field')}, expected 13 or more")
     topic, of_type, type_hash, qos = fields[9:13]
     found = _DDS_TYPE.fullmatch(of_type)
     if not found:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from igtl_gateway.addon import ConfigError
+from igtl_gateway.addon import ConfigError, one_of
 from igtl_gateway.addon.settings import DDS
 
 ZENOH = "zenoh"
@@ -58,5 +58,5 @@ def site_class(text: str) -> tuple[str, str]:
     """Parse ``GLOB=CLASS``."""
     glob, _, name = text.rpartition("=")
     if not glob or name not in SITE_CLASSES:
-        raise ConfigError(f"found {text!r}, expected GLOB=CLASS with one of {', '.join(SITE_CLASSES)}")
+        raise ConfigError(f"found {text!r}, expected GLOB=CLASS with {one_of(name, SITE_CLASSES)}")
     return glob, name

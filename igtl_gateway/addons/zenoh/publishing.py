@@ -16,6 +16,7 @@ from typing import Any
 from igtl_gateway.addon import Clock
 from igtl_gateway.addon.reading import Level, Qos
 from igtl_gateway.addon.ros_side import Heard, Publishers, Reports, TopicCounts
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addons.zenoh.library import first_line
 from igtl_gateway.addons.zenoh.names import Kind, Node, attachment, gid
 from igtl_gateway.addons.zenoh.own_node import OwnNode
@@ -267,7 +268,7 @@ class Publishing(Publishers[TopicPublisher]):
             dropped = one.counts.over_budget - one.noted_over_budget
             if dropped:
                 one.noted_over_budget += dropped
-                text = f"{one.topic}: {dropped} messages dropped, because the budget of the site is exceeded"
+                text = f"{one.topic}: {counted(dropped, 'message')} dropped, because the budget of the site is exceeded"
                 self._reports.note(Level.WARN, "site_over_budget", text, one.topic, {"dropped": dropped})
 
     def close(self) -> None:

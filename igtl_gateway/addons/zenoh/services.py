@@ -27,6 +27,7 @@ from igtl_gateway.addon.ros import (
     Struct,
 )
 from igtl_gateway.addon.ros_side import Reports
+from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addon.untrusted import files
 from igtl_gateway.addons.zenoh.names import attachment, read_attachment
 
@@ -130,7 +131,7 @@ class Calls:
             payload = query.payload
             if payload is None or len(payload) > _REQUEST_BYTES:
                 found = 0 if payload is None else len(payload)
-                raise ValueError(f"found a request of {found} bytes, expected {service.request.TYPE}")
+                raise ValueError(f"found a request of {counted(found, 'byte')}, expected {service.request.TYPE}")
             request = service.request.unpack(payload.to_bytes())
             response: Any = service.response
             usual = {each.name: None if each.default is MISSING else each.default for each in fields(response)}

@@ -16,6 +16,7 @@ from typing import Any
 from igtl_gateway.addon import NS_PER_S, Clock
 from igtl_gateway.addon.reading import Level
 from igtl_gateway.addon.ros_side import Reports
+from igtl_gateway.addon.terminal import counted
 
 #: Between questions.
 ASK_NS = 2 * NS_PER_S
@@ -177,7 +178,8 @@ class Sites:
             self._reports.note(
                 Level.INFO,
                 "site_latency",
-                f"{topic} from site {name}: {len(found)} messages, latency {low:.1f} ms, median {middle:.1f} ms, "
+                f"{topic} from site {name}: {counted(len(found), 'message')}, latency {low:.1f} ms, median "
+                f"{middle:.1f} ms, "
                 f"99 % {high:.1f} ms, each ±{error_ms:.3f} ms",
                 topic,
                 {

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from igtl_gateway.addon import NS_PER_S, Clock
 from igtl_gateway.addon.reading import Level
 from igtl_gateway.addon.ros_side import Reports, TopicCounts
+from igtl_gateway.addon.terminal import counted
 
 #: A command that has waited longer is not sent: what it asks for may be wrong by then.
 LATE_NS = 2 * NS_PER_S
@@ -60,7 +61,10 @@ class Commands:
         with self._changed:
             dropped, self._dropped = self._dropped, Counter()
         for topic, count in dropped.items():
-            text = f"{topic}: {count} messages not sent, because the line took none for {LATE_NS / NS_PER_S:g} s"
+            text = (
+                f"{topic}: {counted(count, 'message')} not sent, because the line took none for "
+                f"{LATE_NS / NS_PER_S:g} s"
+            )
             self._reports.note(Level.ERROR, "site_command_late", text, topic, {"dropped": count})
 
     def stop(self) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 from rosbags.interfaces import Nodetype
 
 from igtl_gateway.base.errors import DamagedRecording
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.untrusted import limits
 
 #: Type → its constants (name, type, value) and its fields (name, description), as rosbags has them.
@@ -49,7 +50,9 @@ def _examine_value(value: object, place: str) -> None:
     if isinstance(value, float) and not math.isfinite(value):
         raise DamagedRecording(f"{place}: found {value}, expected a finite number")
     if isinstance(value, int) and value.bit_length() > _LONGEST_INT:
-        raise DamagedRecording(f"{place}: found a number of {value.bit_length()} bits, expected at most {_LONGEST_INT}")
+        raise DamagedRecording(
+            f"{place}: found a number of {counted(value.bit_length(), 'bit')}, expected at most {_LONGEST_INT}"
+        )
 
 
 def _examine_field(description: Any, place: str) -> None:

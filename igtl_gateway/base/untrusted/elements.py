@@ -13,6 +13,7 @@ from typing import Any
 
 from rosbags.interfaces import Nodetype
 
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.untrusted import limits
 
 _SIZES = {"bool": 1, "byte": 1, "char": 1, "octet": 1, "float32": 4, "float64": 8, "float128": 16} | {
@@ -65,7 +66,9 @@ class ElementCounter:
     def _struct(self, name: str) -> None:
         self._found += 1
         if self._found > self._most:
-            raise limits.exceeded("count", f"more than {self._most} elements", f"a message of {self._root}", self._most)
+            raise limits.exceeded(
+                "count", f"more than {counted(self._most, 'element')}", f"a message of {self._root}", self._most
+            )
         if name in self._empty:
             return
         for _, (kind, inner) in self._types[name][1]:
@@ -98,7 +101,7 @@ class ElementCounter:
             self._found += 1
             if self._found > self._most:
                 raise limits.exceeded(
-                    "count", f"more than {self._most} elements", f"a message of {self._root}", self._most
+                    "count", f"more than {counted(self._most, 'element')}", f"a message of {self._root}", self._most
                 )
             length = self._count()
             self._at += length

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import errno
+import os
 import stat
 import sys
+from itertools import islice
 from pathlib import Path
 from typing import IO, BinaryIO
 
 from igtl_gateway.base.errors import DamagedRecording, NoSuchRecording, UnsupportedRecording
+from igtl_gateway.base.near import did_you_mean, near_names
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.systems.files import lock, unlock
 from igtl_gateway.base.untrusted import cpu_time, limits
 
 _SEEK_DATA = 3  # as lseek(2)
 
+#: Files of a folder among which a name is looked for.
+_MOST_NAMES = 2_000
 _NOTHING, _UNSEEN = "nothing", "unseen"
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -29,7 +35,7 @@ def size_of(path: Path) -> int:
     try:
         found = path.stat()
     except FileNotFoundError as error:
-        raise NoSuchRecording(f"{path}: {error.strerror}") from None
+        raise NoSuchRecording(f"{path}: {error.strerror}{near_file(path)}") from None
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise UnsupportedRecording(f"{path}: {reason}") from None
@@ -39,13 +45,31 @@ def size_of(path: Path) -> int:
     return found.st_size
 
 
+def near_file(path: Path) -> str:
+    """Return what follows the message that there is no such file: the nearest names, of a missing folder its own."""
+    missing = path if path.parent.is_dir() else path.parent
+    near = near_names(missing.name, _names_in(missing.parent)) if missing.name else []
+    question = did_you_mean(str(missing.parent / each) for each in near)
+    there = "" if missing is path else f": there is no folder {missing}"
+    return there + (f"; {question}" if question else "")
+
+
+def _names_in(folder: Path) -> list[str]:
+    """Return the names of the files in a folder that are not hidden: the first ones of many."""
+    try:
+        with os.scandir(folder) as entries:
+            return sorted(each.name for each in islice(entries, _MOST_NAMES) if not each.name.startswith("."))
+    except (OSError, ValueError):
+        return []
+
+
 def open_file(path: Path) -> BinaryIO:
     """Open an ordinary file for reading.  Raises UnsupportedRecording; never waits for a FIFO or a device."""
     cpu_time.opened(path, stored_bytes(path, size_of(path)))
     try:
         return path.open("rb")
     except FileNotFoundError as error:  # deleted since
-        raise NoSuchRecording(f"{path}: {error.strerror}") from None
+        raise NoSuchRecording(f"{path}: {error.strerror}{near_file(path)}") from None
     except OSError as error:
         raise UnsupportedRecording(f"{path}: {error.strerror or error}") from None
 
@@ -135,7 +159,7 @@ def obstacle(path: Path, error: OSError | ValueError | None = None) -> str:
     if number == errno.ENOENT:  # in an existing folder: a folder of the kernel, such as /proc
         return f"no file can be created in {folder} ({text})"
     if number == errno.ENAMETOOLONG:
-        return f"{text}: {len(bytes(Path(path.name)))} bytes"
+        return f"{text}: {counted(len(bytes(Path(path.name))), 'byte')}"
     if number in (errno.EACCES, errno.EPERM, errno.EROFS):
         return f"{text}, in the folder {folder}"
     return text

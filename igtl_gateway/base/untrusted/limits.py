@@ -14,6 +14,7 @@ from dataclasses import dataclass, fields, replace
 
 from igtl_gateway.base.clock import Clock, SystemClock
 from igtl_gateway.base.errors import ConfigError, LimitExceeded
+from igtl_gateway.base.near import one_of
 from igtl_gateway.base.untrusted.numbers import whole_number
 
 _MIB = 1 << 20
@@ -97,7 +98,7 @@ def parse_limits(words: list[str]) -> FileLimits:
         name, _, value = word.partition("=")
         number = whole_number(value, (1 << 62) - 1)
         if name not in names or not number:
-            raise ConfigError(f"--limit: found {word!r}, expected NAME=NUMBER with one of {', '.join(names)}")
+            raise ConfigError(f"--limit: found {word!r}, expected NAME=NUMBER with {one_of(name, names)}")
         limits = replace(limits, **{name: number})
     return limits
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from igtl_gateway.base.errors import DamagedRecording
+from igtl_gateway.base.quantities import counted
 
 #: Largest number of 64 bits.
 MOST = (1 << 64) - 1
@@ -32,7 +33,9 @@ def bounded_integer(digits: str) -> int:
     """Return the integer of a JSON document.  Raises ValueError for one that no float could hold."""
     number = int(digits) if len(digits) <= _MOST_BITS else 1 << _MOST_BITS
     if number.bit_length() > _MOST_BITS:
-        raise ValueError(f"found a number of {len(digits.lstrip('-'))} digits, expected at most {_MOST_BITS} bits")
+        raise ValueError(
+            f"found a number of {counted(len(digits.lstrip('-')), 'digit')}, expected at most {_MOST_BITS} bits"
+        )
     return number
 
 
@@ -46,4 +49,6 @@ def check_numbers(document: Any, place: str) -> None:
         elif isinstance(value, list):
             waiting += [(at, each) for each in value]
         elif isinstance(value, int) and value.bit_length() > _MOST_BITS:
-            raise DamagedRecording(f"{at}: found a number of {value.bit_length()} bits, expected at most {_MOST_BITS}")
+            raise DamagedRecording(
+                f"{at}: found a number of {counted(value.bit_length(), 'bit')}, expected at most {_MOST_BITS}"
+            )

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from igtl_gateway.base.errors import DamagedRecording
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.untrusted.limits import Deadline, check_limit, check_unpacked, current_limits
 from igtl_gateway.base.untrusted.text import printable
 from igtl_gateway.base.untrusted.thrift import Fields, Incomplete, ThriftReader, Value
@@ -115,7 +116,8 @@ def check_sizes(stream: BinaryIO, path: Path) -> tuple[int, int, list[str]]:
         total += rows
         if len(chunks) != len(columns) or (not columns and rows):
             raise DamagedRecording(
-                f"{path}: row group {number}: found {len(chunks)} columns and {rows} rows, expected {len(columns)}"
+                f"{path}: row group {number}: found {counted(len(chunks), 'column')} and {counted(rows, 'row')}, "
+                f"expected {len(columns)}"
             )
         for column, chunk in zip(columns, chunks, strict=True):
             place = f"{path}: row group {number}, {_shown(column.path)}"
@@ -124,7 +126,9 @@ def check_sizes(stream: BinaryIO, path: Path) -> tuple[int, int, list[str]]:
                 raise DamagedRecording(f"{place}: found no metadata, expected them")
             values = _integer(facts, 5, place)
             if not rows <= values or (values > rows and not column.lists):
-                raise DamagedRecording(f"{place}: found {values} values in {rows} rows, expected one for each")
+                raise DamagedRecording(
+                    f"{place}: found {counted(values, 'value')} in {counted(rows, 'row')}, expected one for each"
+                )
             unpacked += values * (column.width + _NESTED * column.lists)
             check_unpacked(size, unpacked, what)
             for page in _pages(facts, values, stream, size, place, deadline):
@@ -146,7 +150,9 @@ def _footer(stream: BinaryIO, size: int, path: Path) -> Fields:
     length = struct.unpack_from("<I", tail)[0]
     check_limit("memory", length, f"{path}: bytes of the footer", current_limits().memory // _FOOTER_RATIO)
     if length > size - 8:
-        raise DamagedRecording(f"{path}: is not valid Parquet: found a footer of {length} bytes in {size} bytes")
+        raise DamagedRecording(
+            f"{path}: is not valid Parquet: found a footer of {counted(length, 'byte')} in {counted(size, 'byte')}"
+        )
     stream.seek(size - 8 - length)
     try:
         return ThriftReader(stream.read(length), f"{path}: footer").struct()
@@ -216,7 +222,9 @@ def _pages(facts: Fields, most: int, stream: BinaryIO, size: int, place: str, de
             )
         at += length + packed
         if at > end:
-            raise DamagedRecording(f"{place}: found a page of {packed} bytes up to {at}, expected its end by {end}")
+            raise DamagedRecording(
+                f"{place}: found a page of {counted(packed, 'byte')} up to {at}, expected its end by {end}"
+            )
         check_unpacked(packed, unpacked, f"{place}: bytes of a page")
         if not isinstance(kind, int) or kind not in _HEADS:
             continue

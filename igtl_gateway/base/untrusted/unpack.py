@@ -14,6 +14,7 @@ import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
 from igtl_gateway.base.errors import DamagedRecording
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.untrusted import limits
 
 #: Packing of a piece; ``""``: none.
@@ -41,9 +42,9 @@ def unpack(packing: Packing, packed: bytes, size: int) -> bytes:
             raise MemoryError from None
         raise PackedDataError(f"found {packing} data that cannot be unpacked: {error}") from None
     if declared > size or len(found) > size:
-        raise PackedDataError(f"found more than {size} unpacked bytes, expected {size}")
+        raise PackedDataError(f"found more than {counted(size, 'unpacked byte')}, expected {size}")
     if len(found) < size:
-        raise PackedDataError(f"found {len(found)} unpacked bytes, expected {size}")
+        raise PackedDataError(f"found {counted(len(found), 'unpacked byte')}, expected {size}")
     return found
 
 
@@ -79,7 +80,7 @@ def unpack_zstd_file(packed: BinaryIO, out: BinaryIO, size: int, allowed: int, p
         with zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True, closefd=False) as stream:
             while data := stream.read(_COPY_BYTES):
                 written += len(data)
-                limits.check_limit("ratio", written, f"{place}: {size} packed bytes", allowed)
+                limits.check_limit("ratio", written, f"{place}: {counted(size, 'packed byte')}", allowed)
                 out.write(data)
     except zstandard.ZstdError as error:
         raise DamagedRecording(f"{place}: cannot be unpacked: {error}") from None

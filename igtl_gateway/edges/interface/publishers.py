@@ -10,6 +10,7 @@ from typing import Generic, Protocol, TypeVar
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import RosError
 from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.edges.interface.reports import Reports, TopicCounts
 from igtl_gateway.gateway.kept import FORGOTTEN, beyond, forgotten_text, largest_first
 from igtl_gateway.gateway.log.note import Level
@@ -137,7 +138,7 @@ class Publishers(ABC, Generic[P]):
             # the middleware would carry it, and each subscriber would fail over it
             with publisher.lock:
                 publisher.counts.failed += 1
-            failure = f"{len(cdr)} bytes, expected CDR with {_CDR_HEADER} bytes of encapsulation"
+            failure = f"{counted(len(cdr), 'byte')}, expected CDR with {_CDR_HEADER} bytes of encapsulation"
         else:
             failure = self._send(publisher, cdr, 0 if qos.latched else until_ns)
         if failure:

@@ -16,6 +16,7 @@ from functools import cache
 from typing import Any, Protocol
 
 from igtl_gateway.base.errors import RosError
+from igtl_gateway.base.quantities import counted
 
 #: ``rmw_fastrtps_cpp::get_datawriter`` and ``DataWriter::clear_history``, as C++ names them for the linker.
 _WRITER_OF = "_ZN16rmw_fastrtps_cpp14get_datawriterEP15rmw_publisher_s"
@@ -133,7 +134,7 @@ def _publish_large(pointer: int) -> Callable[[bytes], None] | None:
         message = _Serialized(cdr, len(cdr), len(cdr))
         code = rcl_publish(pointer, ctypes.byref(message), None)
         if code:
-            raise RosError(f"rcl refused a message of {len(cdr)} bytes (code {code})")
+            raise RosError(f"rcl refused a message of {counted(len(cdr), 'byte')} (code {code})")
 
     return publish
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from functools import partial
 
 from igtl_gateway.base.errors import ConfigError, Unavailable
+from igtl_gateway.base.quantities import by_count, counted
 from igtl_gateway.edges.reserved import ReservedPorts, open_port
 from igtl_gateway.edges.tcp.dialer import Dialer
 from igtl_gateway.edges.tcp.link_info import LinkInfo, PeerLimits
@@ -136,7 +137,7 @@ class Addresses:
         """Why no further peer may connect, or ``""``."""
         most = self._limits.max_clients
         clients = self._registry.clients() + sum(relay.waiting for relay in self._relays)
-        return f"{most} clients are connected already" if clients >= most else ""
+        return f"{counted(most, 'client')} {by_count(most, 'is', 'are')} connected already" if clients >= most else ""
 
     def _start_tls(self, up: Up, context: Context, sock: socket.socket, peer: str) -> None:
         """A client connected that has to complete a TLS handshake first.

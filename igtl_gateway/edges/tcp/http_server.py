@@ -18,6 +18,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
 
 from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.edges.reserved import open_port
@@ -241,7 +242,7 @@ class Handler(BaseHTTPRequestHandler):
         elif size is None:
             why = 411, f"Content-Length: found {given[:100]!r}, expected the number of bytes"
         elif size > MAX_BODY:
-            why = 413, f"Content-Length: found {size:,} bytes, expected at most {MAX_BODY:,}"
+            why = 413, f"Content-Length: found {count_text(size, 'byte')}, expected at most {MAX_BODY:,}"
         else:
             self.post(self.path.partition("?")[0], self.rfile.read(size))
             return

@@ -6,6 +6,7 @@ import socket
 from collections.abc import Callable
 from functools import partial
 
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.edges.tcp.link_info import LinkCounters, Role
 from igtl_gateway.edges.tcp.link_parts import LinkContext, NativeEnds
 from igtl_gateway.edges.tcp.liveness import Liveness
@@ -230,7 +231,7 @@ class Link:
         }
         text = f"{self.peer} disconnected: {reason}"
         if unconfirmed:
-            text += f"; {unconfirmed:,} bytes of what it was sent may not have arrived"
+            text += f"; {count_text(unconfirmed, 'byte')} of what it was sent may not have arrived"
         self._closed(self, Note(Level.INFO, "link_down", text, data=data))
 
     def _take_turn(self, mask: int) -> None:

@@ -6,7 +6,7 @@ import math
 import socket
 from functools import partial
 
-from igtl_gateway.base.quantities import duration_text
+from igtl_gateway.base.quantities import count_text, duration_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife
 from igtl_gateway.edges.tcp.receiver import Receiver
@@ -56,7 +56,10 @@ class Liveness:
         if pending and (now_ns - receiver.heard_ns) / NS_PER_S > limits.stall_s:
             self._link.fault(Level.WARN, "stalled", f"{peer} sent a part of a message and stopped")
         elif pending and message_s > limits.stall_s + pending / limits.min_rate:
-            text = f"{peer} sent {pending:,} bytes of a message in {duration_text(message_s * NS_PER_S)}: too slow"
+            text = (
+                f"{peer} sent {count_text(pending, 'byte')} of a message in "
+                f"{duration_text(message_s * NS_PER_S)}: too slow"
+            )
             self._link.fault(Level.WARN, "stalled", text)
         elif (dead_s := unanswered_s(self._sock)) > UNANSWERED_S:
             text = f"{peer} is unreachable: it has confirmed nothing for {duration_text(dead_s * NS_PER_S)}"

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from igtl_gateway.base.errors import ConversionError, Unavailable
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.convert.bitstream import is_key_frame
 from igtl_gateway.convert.common_msgs import CompressedImage
 from igtl_gateway.convert.rosmsg import Image
@@ -182,7 +183,8 @@ def _picture(av: Any, image: Image) -> Any:
         raise ConversionError(f"sensor_msgs/Image: found {width} x {height}, expected 1 to {MAX_PIXELS} pixels")
     if image.step < row or size < image.step * (height - 1) + row:
         raise ConversionError(
-            f"sensor_msgs/Image: found {size} bytes with step {image.step}, expected {height} rows of {row} bytes"
+            f"sensor_msgs/Image: found {counted(size, 'byte')} with step {image.step}, expected "
+            f"{counted(height, 'row')} of {counted(row, 'byte')}"
         )
     pixels = np.ndarray((height, width, pixel), np.uint8, image.data, 0, (image.step, pixel, 1))
     if image.encoding == "mono16":

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.near import one_of
 
 #: Codecs to encode with: name in CompressedImage.format → encoder and its options.
 #: x264's "ultrafast" is what Full HD at 30 Hz leaves time for, and its baseline profile is what every peer decodes.
@@ -36,7 +37,7 @@ class VideoOptions:
 
     def __post_init__(self) -> None:
         if self.codec not in CODECS:
-            raise ConfigError(f"video codec: found {self.codec!r}, expected one of {', '.join(CODECS)}")
+            raise ConfigError(f"video codec: found {self.codec!r}, expected {one_of(self.codec, CODECS)}")
         for name, (lowest, highest) in _LIMITS.items():
             value = getattr(self, name)
             if not lowest <= value <= highest:

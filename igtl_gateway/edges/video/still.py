@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.convert.pictures import JPEG, PNG
 from igtl_gateway.edges.video.worker import MAX_PIXELS, import_av
 
@@ -27,7 +28,7 @@ def decoded_still(codec: str, data: bytes) -> npt.NDArray[Any]:
     try:
         found = [*decoder.decode(av.Packet(data)), *decoder.decode(None)] if data else []
         if not found:
-            raise ConversionError(f"found {len(data)} bytes without a picture, expected {codec}")
+            raise ConversionError(f"found {counted(len(data), 'byte')} without a picture, expected {codec}")
         components = found[0].format.components
         if max(each.bits for each in components) <= _EIGHT:
             pixels = found[0].to_ndarray(format="rgb24")

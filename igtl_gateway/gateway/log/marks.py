@@ -12,7 +12,7 @@ from typing import Any
 
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.near import did_you_mean, near_names
-from igtl_gateway.base.quantities import duration_text
+from igtl_gateway.base.quantities import count_text, duration_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
@@ -61,7 +61,9 @@ class MarkNote:
         for name, most in BOUNDS.items():
             value: Any = getattr(self, name)
             if not isinstance(value, str) or len(value) > most or not value.isprintable():
-                raise ConfigError(f"mark: found {name} {_shown(value)}, expected up to {most:,} printable characters")
+                raise ConfigError(
+                    f"mark: found {name} {_shown(value)}, expected up to {count_text(most, 'printable character')}"
+                )
         label = self.label
         if not label or ":" in label or label[0] in _SIGNS or label != label.strip():
             raise ConfigError(

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.base.quantities import duration_text, offset_text
+from igtl_gateway.base.quantities import count_text, duration_text, offset_text
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 
 Times = npt.NDArray[np.int64]
@@ -136,7 +136,7 @@ def one_clock(streams: Sequence[StreamTimes], wanted: str = AUTO) -> OneClock:
     without = next((each for each in streams if not each.is_stamped), None)
     if without is not None:
         number = int(np.sum(without.stamps <= 0))
-        found = f"{number:,} of {len(without.times):,} messages of {without.name} without a stamp"
+        found = f"{number:,} of {count_text(len(without.times), 'message')} of {without.name} without a stamp"
         if wanted == SOURCE:
             raise ConfigError(f"clock: found {found}, expected none for the clock source")
         is_mixed = any(np.any(each.stamps > 0) and not _is_behind(each, without) for each in streams)

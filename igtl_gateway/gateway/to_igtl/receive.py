@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from itertools import chain
 
 from igtl_gateway.base.errors import ConversionError, WireError
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext
 from igtl_gateway.convert.rosmsg import RosMessage
@@ -144,7 +145,7 @@ class RosReceiver:
         """Handle a message of a topic that is not bridged, or above the limit of streams."""
         if not self._streams.is_over_limit(entry.channel, entry.type):
             return Outcome(fate=RECORDED_ONLY)
-        text = f"more than {self._config.max_streams} streams: {entry.channel} is recorded, not sent"
+        text = f"more than {counted(self._config.max_streams, 'stream')}: {entry.channel} is recorded, not sent"
         finding = Finding(Level.WARN, "too_many_streams", text, entry.channel, entry.links, subject="ros")
         return Outcome([finding], "too_many_streams")
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from igtl_gateway.base.errors import ConversionError, MalformedBody, WireError
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.stamp import ticks_to_ns
 from igtl_gateway.config.configuration import COMMAND_QOS, Config
 from igtl_gateway.convert.context import ToRosContext
@@ -124,7 +125,9 @@ class Router:
         igtl_type, link = visible(message.type), entry.links[0]
         stream = self._streams.to_ros(igtl_type, restored.device_name)
         if stream is None:
-            text = f"more than {self._config.max_streams} streams: {entry.channel} is recorded, not published"
+            text = (
+                f"more than {counted(self._config.max_streams, 'stream')}: {entry.channel} is recorded, not published"
+            )
             finding = Finding(Level.WARN, "too_many_streams", text, entry.channel, entry.links, subject="", by=link)
             return Outcome([finding], "too_many_streams")
         source_ns = restored.stamp_ns or ticks_to_ns(message.ticks)
@@ -223,7 +226,7 @@ class Router:
                 if isinstance(inner.content, TrackingData | QuaternionTrackingData):
                     tools += len(inner.content.elements)
                 if tools > MAX_TOOLS:  # each has a frame, with the sequence lock
-                    raise MalformedBody("BIND content", f"{tools} tools", f"at most {MAX_TOOLS} in all children")
+                    raise MalformedBody("BIND content", counted(tools, "tool"), f"at most {MAX_TOOLS} in all children")
             except WireError as error:
                 items.append(
                     conversion_failure(

@@ -14,6 +14,7 @@ from typing import Any
 
 from igtl_gateway.base.errors import ConfigError, Unavailable, UnsupportedRecording
 from igtl_gateway.base.extras import missing
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.files import read_bytes
 
@@ -123,7 +124,7 @@ def _compared(reply: bytes, digest: bytes, authorities: tuple[Any, ...]) -> Time
 def _problem(reply: bytes, digest: bytes) -> str:
     """Return why a reply does not confirm a digest; "" if it may."""
     if len(reply) > MAX_BYTES:
-        return f"found {len(reply):,} bytes, expected at most {MAX_BYTES:,}"
+        return f"found {count_text(len(reply), 'byte')}, expected at most {MAX_BYTES:,}"
     library = _library()
     try:
         response = library.decode_timestamp_response(reply)

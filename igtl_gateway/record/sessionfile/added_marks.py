@@ -15,6 +15,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from igtl_gateway.base.errors import ConfigError, DamagedRecording
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.untrusted import files
 from igtl_gateway.base.untrusted.shape import fields, number, text, unexpected
 from igtl_gateway.base.untrusted.text import parse_json
@@ -82,7 +83,7 @@ def _read(path: Path, span: tuple[int, int] | None) -> Iterator[Mark]:
     except UnicodeDecodeError:
         raise DamagedRecording(f"{path}: found other bytes, expected UTF-8") from None
     if not lines or len(lines) - 1 > MAX_ADDED:
-        raise DamagedRecording(f"{path}: found {len(lines):,} lines, expected 1 to {MAX_ADDED + 1:,}")
+        raise DamagedRecording(f"{path}: found {count_text(len(lines), 'line')}, expected 1 to {MAX_ADDED + 1:,}")
     head = parse_json(lines[0], f"{path}: line 1")
     _HEAD(head, f"{path}: line 1")
     if head["igtl_gateway_marks"] != VERSION:
@@ -115,7 +116,7 @@ def write_marks(recording: Path, marks: Iterable[Mark], start_ns: int, end_ns: i
     path = marks_file(recording)
     rows = sorted(marks, key=lambda mark: mark.time_ns)
     if len(rows) > MAX_ADDED:
-        raise ConfigError(f"{path}: found {len(rows):,} marks, expected at most {MAX_ADDED:,}")
+        raise ConfigError(f"{path}: found {count_text(len(rows), 'mark')}, expected at most {MAX_ADDED:,}")
     if not rows:
         path.unlink(missing_ok=True)
         return path

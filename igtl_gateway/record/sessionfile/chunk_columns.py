@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.record.sessionfile.records import HEAD, MESSAGE, MESSAGE_HEAD, MESSAGE_RECORD, U32
 
 Array = npt.NDArray[Any]
@@ -91,7 +92,7 @@ def take(
     row, most = 0, len(channels)
     while row < most:
         if at >= len(data) or not (end := _record_end(data, at)):
-            raise ValueError(f"take: found {row} messages, expected {most}")
+            raise ValueError(f"take: found {counted(row, 'message')}, expected {most}")
         if data[at] == MESSAGE:
             _, _, channels[row], sequences[row], times[row], publish_times[row] = MESSAGE_RECORD.unpack_from(data, at)
             begins[row], ends[row] = at + MESSAGE_RECORD.size, end

@@ -11,6 +11,7 @@ from typing import IO
 
 import numpy as np
 
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.untrusted import limits
 from igtl_gateway.record.sessionfile import records
 from igtl_gateway.record.sessionfile.chunk_columns import Columns, Row, count_of, rows_of, take
@@ -73,11 +74,13 @@ def packed_chunk(stream: IO[bytes], entry: ChunkEntry, path: str) -> PackedChunk
     fields = RecordFields(stream.read(min(entry.length, _CHUNK_BEGIN)), place)
     head = fields.take(HEAD.size)
     if HEAD.unpack(head) != (records.CHUNK, entry.length - HEAD.size):
-        raise Malformed(f"{place}: found {head.hex(' ')}, expected a chunk of {entry.length} bytes")
+        raise Malformed(f"{place}: found {head.hex(' ')}, expected a chunk of {counted(entry.length, 'byte')}")
     _, _, size, crc = CHUNK_HEAD.unpack(fields.take(CHUNK_HEAD.size))
     compression, packed = fields.text(), fields.number(records.U64)
     if packed > entry.length - fields.at:
-        raise Malformed(f"{place}: found {packed} bytes of data, expected at most {entry.length - fields.at}")
+        raise Malformed(
+            f"{place}: found {counted(packed, 'byte')} of data, expected at most {entry.length - fields.at}"
+        )
     check_chunk(packed, size, f"{path}: {place}")
     stream.seek(entry.at + fields.at)
     return PackedChunk(place, compression, stream.read(packed), size, crc)
@@ -132,4 +135,4 @@ def column_batches(data: bytes) -> Iterator[Columns]:
 def _check_end(data: bytes, end: int) -> None:
     """Raise Malformed where the records of a chunk end before it."""
     if end < len(data):
-        raise Malformed(f"found {len(data) - end} bytes at the end of a chunk, expected a whole record")
+        raise Malformed(f"found {counted(len(data) - end, 'byte')} at the end of a chunk, expected a whole record")

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from mcap.records import Channel, Schema
 
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.untrusted import limits
 from igtl_gateway.record.sessionfile import records
 
@@ -106,7 +107,7 @@ def check_work(file_size: int, work: int, place: str) -> None:
     current = limits.current_limits()
     most = (current.seconds + current.seconds_per_mb * file_size // 1_000_000) * _BYTES_PER_SECOND
     if work > most:
-        raise limits.exceeded("seconds", f"{work} bytes unpacked", place, f"{most} bytes")
+        raise limits.exceeded("seconds", f"{counted(work, 'byte')} unpacked", place, counted(most, "byte"))
 
 
 def work_of(chunks: Iterable[ChunkEntry]) -> int:

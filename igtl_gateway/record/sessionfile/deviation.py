@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import IO
 
+from igtl_gateway.base.quantities import by_count, count_text
 from igtl_gateway.record.sessionfile.units import FoundUnit, digest_of, kind_of, units
 
 CHANGED, DROPPED, SWAPPED, MOVED, DUPLICATED, ADDED = "changed", "dropped", "swapped", "moved", "duplicated", "added"
@@ -93,7 +94,10 @@ def unnamed_deviation(stream: IO[bytes], size: int, expected: Sequence[ExpectedU
     later = {each.digest for each in expected[number + 2 :]}
     known = next((each for each in units(stream, gap.at, size) if each.digest in later), None)
     if known and known.at < after.end:
-        text = f"with their seal; {known.at - gap.at:,} bytes of this range are there, which no seal covers now"
+        text = (
+            f"with their seal; {count_text(known.at - gap.at, 'byte')} of this range "
+            f"{by_count(known.at - gap.at, 'is', 'are')} there, which no seal covers now"
+        )
         return Deviation(DROPPED, "records", 0, gap.at, after.end, text=text)
     return Deviation(CHANGED, "records", 0, gap.at, after.end, text="with their seal")
 
@@ -146,7 +150,7 @@ def _unknown_unit_here(
     if shift > 0 and digest_of(stream, unit.at + shift, unit.size) == unit.digest:
         return Deviation(ADDED, "bytes", 0, unit.at, unit.at + shift, text=f"before {_name(unit)}")
     if shift and unit.size + shift > 0 and follows(unit.end + shift):
-        lost = f"{-shift:,} bytes fewer" if shift < 0 else f"{shift:,} bytes more"
+        lost = f"{count_text(-shift, 'byte')} fewer" if shift < 0 else f"{count_text(shift, 'byte')} more"
         return _of(CHANGED, unit, unit.at, unit.end + shift, f"it has {lost} than when it was sealed")
     return _of(CHANGED, unit, unit.at, min(unit.end, size))
 

@@ -20,7 +20,7 @@ from typing import IO
 from mcap.records import Statistics
 
 from igtl_gateway.base.errors import BeingRecorded, DamagedRecording, UnsupportedRecording
-from igtl_gateway.base.quantities import count_text
+from igtl_gateway.base.quantities import count_text, counted
 from igtl_gateway.base.untrusted import files, limits
 from igtl_gateway.record.sessionfile import records
 from igtl_gateway.record.sessionfile.contents import ChunkEntry, Index, RecordPlace
@@ -126,7 +126,7 @@ def stated_index(path: Path, stream: IO[bytes], size: int, most: int) -> Index |
 def read_record(stream: IO[bytes], index: Index, opcode: int, place: RecordPlace, path: str) -> bytes:
     """The content of a record that the index names.  Raises Malformed, LimitExceeded, OSError."""
     if place.at + place.length > index.size or place.length < HEAD.size:
-        raise Malformed(f"found {place.length} bytes at {place.at}, which the file does not have")
+        raise Malformed(f"found {counted(place.length, 'byte')} at {place.at}, which the file does not have")
     limits.check_limit("memory", place.length, path)
     stream.seek(place.at)
     data = stream.read(place.length)
@@ -160,10 +160,11 @@ def _check_start(path: Path, stream: IO[bytes]) -> int:
 def _no_end_error(path: Path, stream: IO[bytes], size: int) -> DamagedRecording:
     if files.is_being_written(stream):
         return BeingRecorded(
-            f"{path}: is being recorded ({size:,} bytes so far) and can be read when the recording has ended; "
+            f"{path}: is being recorded ({count_text(size, 'byte')} so far) and can be read when the recording has "
+            "ended; "
             f"igtl-gateway info {shlex.quote(str(path))} shows what is there"
         )
-    return DamagedRecording(f"{path}: was cut off after {size:,} bytes{recover_hint(path)}")
+    return DamagedRecording(f"{path}: was cut off after {count_text(size, 'byte')}{recover_hint(path)}")
 
 
 def _parse_summary(path: Path, size: int, data: bytes) -> tuple[Index, Statistics | None]:
@@ -197,7 +198,7 @@ def _parse_chunk_index(data: bytes) -> ChunkEntry:
     places = fields.blob()
     if len(places) % INDEX_OFFSET.size:
         raise Malformed(
-            f"chunk index: found {len(places)} bytes of offsets, expected a multiple of {INDEX_OFFSET.size}"
+            f"chunk index: found {counted(len(places), 'byte')} of offsets, expected a multiple of {INDEX_OFFSET.size}"
         )
     index_length = fields.number(records.U64)
     fields.text()
@@ -231,7 +232,9 @@ def _check_chunks(index: Index, data_end: int) -> None:
     """Raise Malformed where chunks are not in the data section, or overlap."""
     for chunk in index.chunks:
         if chunk.at < len(MAGIC) or chunk.length < HEAD.size or chunk.at + chunk.length + chunk.index_length > data_end:
-            raise Malformed(f"found a chunk of {chunk.length} bytes at {chunk.at}, expected it before {data_end}")
+            raise Malformed(
+                f"found a chunk of {counted(chunk.length, 'byte')} at {chunk.at}, expected it before {data_end}"
+            )
     for one, two in pairwise(index.chunks):
         if one.at + one.length > two.at:
             raise Malformed(f"found a chunk at {two.at}, expected none before {one.at + one.length}")

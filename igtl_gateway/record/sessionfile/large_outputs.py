@@ -23,6 +23,7 @@ from mcap.records import Channel
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import DamagedRecording
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.values import value
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile import layout
@@ -123,7 +124,7 @@ class OutputDigest:
         self.entry = unpack_raw(message, seq, log_ns, publish_ns)
         content = self.entry.data()
         if len(content) != _DIGEST.size:
-            raise LayoutError(f"digest: found {len(content)} bytes, expected {_DIGEST.size}")
+            raise LayoutError(f"digest: found {counted(len(content), 'byte')}, expected {_DIGEST.size}")
         self.size, self.digest = _DIGEST.unpack(content)
 
     def is_of(self, payload: Buffer) -> bool:

@@ -21,6 +21,8 @@ import numpy.typing as npt
 from mcap.records import Attachment, Channel, Schema
 
 from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.base.near import one_of
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.shape import fields, list_of, map_of, number, text, wrong
 from igtl_gateway.base.untrusted.text import parse_json
@@ -354,7 +356,7 @@ def pack_numbers(rows: npt.NDArray[np.uint64]) -> bytes:
 def _unpack_numbers(packed: bytes, place: str) -> Iterator[tuple[int, int, int]]:
     data = unpack_zstd_of_any_size(packed, place)
     if len(data) % 24:
-        raise DamagedRecording(f"{place}: found {len(data)} bytes, expected a multiple of 24")
+        raise DamagedRecording(f"{place}: found {counted(len(data), 'byte')}, expected a multiple of 24")
     columns = np.cumsum(np.frombuffer(data, "<u8").reshape(3, -1), axis=1, dtype=np.uint64)
     columns[2] += columns[1]
     return zip(*columns.tolist(), strict=True)
@@ -374,7 +376,7 @@ def extract_part(
     """
     part = next((each for each in merge.facts["parts"] if each["name"] == name), None)
     if part is None:
-        raise UnsupportedRecording(f"{path}/{name}: found no part {name!r}, expected one of {', '.join(merge.names)}")
+        raise UnsupportedRecording(f"{path}/{name}: found no part {name!r}, expected {one_of(name, merge.names)}")
     from igtl_gateway.record.sessionfile.stream import McapStream  # here: most readers write nothing
 
     digest = Digest()

@@ -11,7 +11,7 @@ import struct
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import DamagedRecording
-from igtl_gateway.base.quantities import count_text
+from igtl_gateway.base.quantities import count_text, counted
 from igtl_gateway.base.stamp import NS_PER_S, ns_to_ros
 from igtl_gateway.base.untrusted.text import parse_json
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -76,9 +76,9 @@ def unpack_raw(data: Buffer, seq: int, log_ns: int, publish_ns: int) -> Entry:
         device, at = _get_string(view, at)
         size, at = _get_u32(view, at)
     except (struct.error, UnicodeDecodeError) as error:
-        raise LayoutError(f"RawMessage of {view.nbytes} bytes: {error}") from None
+        raise LayoutError(f"RawMessage of {counted(view.nbytes, 'byte')}: {error}") from None
     if at + size != view.nbytes:
-        raise LayoutError(f"RawMessage: found {view.nbytes - at} bytes of data, expected {size}")
+        raise LayoutError(f"RawMessage: found {counted(view.nbytes - at, 'byte')} of data, expected {size}")
     message_type = unescape(message_type)
     # publish_time equals log_time where the sender set no stamp; the message itself shows whether it is a coincidence
     stamped = publish_ns != log_ns or source_sec or source_nanosec
@@ -156,7 +156,7 @@ def unpack_note(data: Buffer, seq: int, log_ns: int) -> Entry:
         else:
             payload = Note(Level(level), unescape(code), unescape(text), unescape(stream), facts).pack()
     except (struct.error, ValueError, RecursionError, DamagedRecording) as error:
-        raise LayoutError(f"Note of {view.nbytes} bytes: {error}") from None
+        raise LayoutError(f"Note of {counted(view.nbytes, 'byte')}: {error}") from None
     if kind not in NOTE_KINDS:
         raise LayoutError(f"Note: found kind {kind_name!r}, expected one of {[each.value for each in NOTE_KINDS]}")
     return Entry(seq, log_ns, kind, payload=(payload,), links=links)
@@ -282,12 +282,16 @@ def _get_string(view: memoryview, at: int) -> tuple[str, int]:
     size, at = _get_u32(view, at)
     data = bytes(view[at : at + size])
     if len(data) != size or not data.endswith(b"\0"):
-        raise LayoutError(f"offset {at}: found {data[:40]!r}, expected a string of {size} bytes with its NUL")
+        raise LayoutError(
+            f"offset {at}: found {data[:40]!r}, expected a string of {counted(size, 'byte')} with its NUL"
+        )
     return data[:-1].decode(), at + size
 
 
 def _get_links(view: memoryview, at: int) -> tuple[tuple[int, ...], int]:
     count, at = _get_u32(view, at)
     if 4 * count > view.nbytes - at:
-        raise LayoutError(f"offset {at}: found {view.nbytes - at} bytes, expected {count_text(count, 'link')}")
+        raise LayoutError(
+            f"offset {at}: found {counted(view.nbytes - at, 'byte')}, expected {count_text(count, 'link')}"
+        )
     return struct.unpack_from(f"<{count}I", view, at), at + 4 * count

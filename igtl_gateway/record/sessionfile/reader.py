@@ -23,6 +23,7 @@ import numpy as np
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.untrusted import files, limits
 from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -565,7 +566,9 @@ class SessionFile:
 
     def _check_count(self, found: int, expected: int) -> None:
         if found != expected:
-            raise DamagedRecording(f"{self.path}: found {found} entries, expected {expected}{recover_hint(self.path)}")
+            raise DamagedRecording(
+                f"{self.path}: found {counted(found, 'entry', 'entries')}, expected {expected}{recover_hint(self.path)}"
+            )
 
     def _looked_up(self, start_ns: int, rule: LatchedStateRule) -> tuple[list[Entry], int | None, int | None]:
         """What :meth:`entries_with_state` needs: the entries of the state; the time from which on the rest has to be

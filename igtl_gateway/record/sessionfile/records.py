@@ -16,6 +16,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Attachment, Channel, Header, McapRecord, Metadata, Schema, Statistics
 
 from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.quantities import counted
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -115,7 +116,9 @@ class RecordFields:
         end = self.at + size
         if end > len(self._data):
             left = len(self._data) - self.at
-            raise Malformed(f"{self._name}: found {left} bytes at byte {self.at} of its content, expected {size}")
+            raise Malformed(
+                f"{self._name}: found {counted(left, 'byte')} at byte {self.at} of its content, expected {size}"
+            )
         data = self._data[self.at : end]
         self.at = end
         return data
@@ -168,7 +171,7 @@ def parse_statistics(data: bytes) -> Statistics:
     start, end = fields.number(U64), fields.number(U64)
     pairs = fields.blob()
     if len(pairs) % 10:
-        raise Malformed(f"statistics: found {len(pairs)} bytes of counts, expected a multiple of 10")
+        raise Malformed(f"statistics: found {counted(len(pairs), 'byte')} of counts, expected a multiple of 10")
     return Statistics(
         attachment_count=attachments,
         channel_count=channels,
@@ -187,11 +190,13 @@ def records(data: bytes, place: str) -> Iterator[tuple[int, int, int]]:
     at, size = 0, len(data)
     while at < size:
         if size - at < HEAD.size:
-            raise Malformed(f"{place}: found {size - at} bytes after {at}, expected a record")
+            raise Malformed(f"{place}: found {counted(size - at, 'byte')} after {at}, expected a record")
         opcode, length = HEAD.unpack_from(data, at)
         at += HEAD.size
         if length > size - at:
-            raise Malformed(f"{place}: found a record of {length} bytes at {at}, expected at most {size - at}")
+            raise Malformed(
+                f"{place}: found a record of {counted(length, 'byte')} at {at}, expected at most {size - at}"
+            )
         yield opcode, at, at + length
         at += length
 

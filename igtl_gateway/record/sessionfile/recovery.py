@@ -26,7 +26,7 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from rosbags.highlevel import AnyReader
 
 from igtl_gateway.base.errors import DamagedRecording, GatewayError, LimitExceeded
-from igtl_gateway.base.quantities import count_text
+from igtl_gateway.base.quantities import count_text, counted
 from igtl_gateway.base.version import __version__
 from igtl_gateway.record.sessionfile import facts, layout
 from igtl_gateway.record.sessionfile.chunks import batches
@@ -381,7 +381,7 @@ def _check(place: Path, file: Salvage) -> Iterator[str]:
     reads_all = not file.report.whole or file.report.messages <= _READ_BY_ALL
     windows: list[tuple[int | None, int | None]] = [(None, None)]
     if damaged:
-        raise DamagedRecording(f"{file.path}: found damaged indexes of {damaged} chunks in the new file")
+        raise DamagedRecording(f"{file.path}: found damaged indexes of {counted(damaged, 'chunk')} in the new file")
     try:
         with place.open("rb") as stream:
             reader = make_reader(stream)

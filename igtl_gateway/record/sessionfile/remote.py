@@ -7,6 +7,7 @@ import urllib.parse
 import urllib.request
 
 from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.record.sessionfile.ranges import RangeFile
 
@@ -44,7 +45,8 @@ class RemoteFile(RangeFile):
             raise DamagedRecording(str(error)) from None
         if len(data) != count or size != self._size:
             raise DamagedRecording(
-                f"{self._url}: found {len(data)} bytes of {size} at {start}, expected {count} of {self._size}"
+                f"{self._url}: found {counted(len(data), 'byte')} of {size} at {start}, expected {count} of "
+                f"{self._size}"
             )
         return data
 

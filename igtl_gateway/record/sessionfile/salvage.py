@@ -22,6 +22,7 @@ import numpy as np
 from mcap.records import Attachment, Channel, Message, Metadata, Schema, Statistics
 
 from igtl_gateway.base.errors import DamagedRecording, LimitExceeded, UnsupportedRecording
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.untrusted import files, limits
 from igtl_gateway.base.untrusted.shape import digits
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -559,7 +560,9 @@ class _SalvagePass:
         report, statistics = self._report, self._statistics
         nowhere = RecordSpan(0, 0, 0)
         for number, loss in self._unknown.items():
-            loss.text = f"{self._unknown_counts[number]:,} messages of a channel of which no description is left"
+            loss.text = (
+                f"{count_text(self._unknown_counts[number], 'message')} of a channel of which no description is left"
+            )
         if statistics is not None:
             report.missing = max(0, statistics.message_count - report.messages)
             if report.missing and not any(loss.what in (BYTES, CHUNK, CHANNEL, NUMBER) for loss in report.lost):
@@ -571,7 +574,7 @@ class _SalvagePass:
                 self._lose(ATTACHMENT, nowhere, "not found")
         end = RecordSpan(0, report.size, report.size)
         if not report.closed:
-            rest = f" and {torn.size:,} bytes of a record" if torn else ""
+            rest = f" and {count_text(torn.size, 'byte')} of a record" if torn else ""
             why = "is not there yet: it is being recorded" if self._salvage.growing else "was not yet on the disk"
             self._lose(CUT_OFF, torn or end, f"the file ends here{rest}: what came after it {why}")
         ours = not self._salvage.foreign

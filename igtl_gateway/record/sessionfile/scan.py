@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import IO
 
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.untrusted import files, limits
 from igtl_gateway.record.sessionfile import records
 from igtl_gateway.record.sessionfile.chunks import packed_chunk
@@ -61,11 +62,11 @@ class _Scan:
         self._stream.seek(at)
         head = self._stream.read(HEAD.size)
         if len(head) < HEAD.size or at + HEAD.size > self._end:
-            raise Malformed(f"found {self._end - at} bytes at {at}, expected a record")
+            raise Malformed(f"found {counted(self._end - at, 'byte')} at {at}, expected a record")
         opcode, length = HEAD.unpack(head)
         end = at + HEAD.size + length
         if end > self._end:
-            raise Malformed(f"found a record of {length} bytes at {at}, expected it before {self._end}")
+            raise Malformed(f"found a record of {counted(length, 'byte')} at {at}, expected it before {self._end}")
         return opcode, end
 
     def _content(self, at: int, end: int, most: int | None = None) -> bytes:
@@ -104,7 +105,9 @@ class _Scan:
     def _loose(self, at: int, end: int) -> None:
         head = self._content(at, end, MESSAGE_HEAD.size)
         if len(head) < MESSAGE_HEAD.size:
-            raise Malformed(f"found a message of {len(head)} bytes at {at}, expected {MESSAGE_HEAD.size} and more")
+            raise Malformed(
+                f"found a message of {counted(len(head), 'byte')} at {at}, expected {MESSAGE_HEAD.size} and more"
+            )
         channel, _, stamp_ns, _ = MESSAGE_HEAD.unpack(head)
         self._count(channel)
         begin, first, last, number = self._run or (at, stamp_ns, stamp_ns, 0)
@@ -124,7 +127,7 @@ class _Scan:
         for opcode, start, stop in records.records(data, f"chunk at offset {at}"):
             if opcode == records.MESSAGE:
                 if stop - start < MESSAGE_HEAD.size:
-                    raise Malformed(f"found a message of {stop - start} bytes in the chunk at {at}")
+                    raise Malformed(f"found a message of {counted(stop - start, 'byte')} in the chunk at {at}")
                 channel, _, stamp_ns, _ = MESSAGE_HEAD.unpack_from(data, start)
                 first, last = min(first, stamp_ns), max(last, stamp_ns)
                 self._count(channel)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.untrusted import files
 from igtl_gateway.record.seal import keys
 from igtl_gateway.record.seal.statement import NO_HEAD, next_head
@@ -204,7 +205,7 @@ class _Check:
             return Deviation("added", "bytes", 0, here, self._size, text="behind the end of the file"), CHANGED, here
         if not self._ends_with_magic() and (rest < end.size or self._has_begun_stamp(at)):
             return None, CUT, at
-        text = f"the index at the end of the file: {rest:,} bytes, {end.size:,} sealed"
+        text = f"the index at the end of the file: {count_text(rest, 'byte')}, {end.size:,} sealed"
         return Deviation("changed", "index", 0, at, self._size, text=text), CHANGED, at
 
     def _behind_stamp(self, stamp: Stamp, last: FoundSeal) -> tuple[Deviation | None, str, int]:
@@ -217,7 +218,7 @@ class _Check:
             return None, SEALED, self._size
         if not self._ends_with_magic() and not has_footer(self._stream, stamp.end, self._size):
             return None, CUT, stamp.at
-        text = f"the index at the end of the file: {self._size - stamp.end:,} bytes behind the time stamp"
+        text = f"the index at the end of the file: {count_text(self._size - stamp.end, 'byte')} behind the time stamp"
         return Deviation("changed", "index", 0, stamp.end, self._size, text=text), CHANGED, stamp.at
 
     def _has_begun_stamp(self, at: int) -> bool:

@@ -15,6 +15,7 @@ from typing import IO
 from mcap.records import Attachment, AttachmentIndex
 
 from igtl_gateway.base.errors import RecordingError, UnsupportedRecording
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.untrusted import files, limits
 from igtl_gateway.record.seal.digest import new_digest
 from igtl_gateway.record.seal.statement import EndOfFile
@@ -62,7 +63,7 @@ def stamp_at(stream: IO[bytes], at: int, size: int) -> Stamp | None:
         return None
     whole = HEAD.size + length
     if length > MAX_BYTES + 1024:
-        return Stamp(at, whole, problem=f"it has {length:,} bytes")
+        return Stamp(at, whole, problem=f"it has {count_text(length, 'byte')}")
     content = stream.read(length)
     try:
         reply = records.parse_attachment(content).data

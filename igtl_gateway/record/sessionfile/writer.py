@@ -22,6 +22,7 @@ from mcap.records import Attachment, Metadata
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import FileTaken, RecordingError
 from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.systems.files import sync_folder
 from igtl_gateway.base.version import __version__
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -385,7 +386,9 @@ class SessionWriter:
         stream = (entry.kind, entry.channel, entry.type)
         if entry.kind in layout.ROS_KINDS:
             if len(self._channels) >= _MAX_ROS_CHANNELS:
-                raise LayoutError(f"topic {entry.channel}: found {len(self._channels)} channels, expected fewer")
+                raise LayoutError(
+                    f"topic {entry.channel}: found {counted(len(self._channels), 'channel')}, expected fewer"
+                )
             qos = self._qos_of(entry.channel, entry.type) or Qos()
             channel = self._register(entry.channel, entry.type, entry.kind, {layout.QOS_KEY: layout.qos_yaml(qos)})
         elif entry.kind in layout.NOTE_KINDS:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cache, partial
 
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway_lab.bench import payloads
 from igtl_gateway_lab.bench.payloads import Payload
 
@@ -145,8 +146,8 @@ _TEXTS = {
     "image-fullhd": "RGB picture of 1920 x 1080, 6.2 MB",
     "image-4k": "RGB picture of 3840 x 2160, 25 MB",
     "polydata-600k": "surface of 600,000 points and 230,000 triangles",
-    **{f"points-{count}": f"POINT with {count:,} points" for count in _POINTS},
-    **{f"tdata-{count}": f"TDATA of a tracker with {count:,} tools" for count in _TOOLS},
+    **{f"points-{count}": f"POINT with {count_text(count, 'point')}" for count in _POINTS},
+    **{f"tdata-{count}": f"TDATA of a tracker with {count_text(count, 'tool')}" for count in _TOOLS},
     **{
         kind: f"{kind.removesuffix('-n')} without stamps, for bridges that keep none: the number is in the content"
         for kind in PAYLOADS

@@ -16,6 +16,8 @@ from typing import Any
 from igtl_gateway.base.clock import Clock, SystemClock
 from igtl_gateway.base.errors import ConfigError, Unavailable
 from igtl_gateway.base.extras import missing
+from igtl_gateway.base.near import one_of
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.version import __version__
 from igtl_gateway.cli.terminal import print_json, print_line, print_text
 from igtl_gateway_lab.bench import flame, offline
@@ -127,7 +129,7 @@ def _selected(options: argparse.Namespace) -> tuple[list[_Group], list[str]]:
     """What is to be measured: passages of messages, and other work.  Raises ConfigError."""
     names = list(dict.fromkeys([*options.case, *(TABLE_1 if options.table1 else ())]))
     if unknown := [name for name in names if name not in CASES and name not in WORKS]:
-        raise ConfigError(f"--case: found {unknown[0]!r}, expected one of {', '.join([*CASES, *WORKS])}")
+        raise ConfigError(f"--case: found {unknown[0]!r}, expected {one_of(unknown[0], [*CASES, *WORKS])}")
     if not names and not options.sweep:
         raise ConfigError(
             "found nothing to measure, expected --case NAME, --sweep or --table1 (--list shows the cases)"
@@ -208,7 +210,9 @@ def _in_flames(groups: list[_Group], works: list[str], options: argparse.Namespa
     runs = sum(1 if plan.case.at_once else len(plan.directions) for group in groups for plan in group.plans)
     found = len(works) + runs * options.rounds
     if found != 1 or works:
-        raise ConfigError(f"--flame: found {found} measurements, expected one of messages: --case NAME --direction WAY")
+        raise ConfigError(
+            f"--flame: found {counted(found, 'measurement')}, expected one of messages: --case NAME --direction WAY"
+        )
     if not flame.tool():
         raise ConfigError("--flame: found no py-spy on the path, it is needed: pip install py-spy")
     (group,) = groups
@@ -381,7 +385,7 @@ def _stolen_percent(before: list[int], after: list[int]) -> float | None:
 def _ambient_text(ambient: dict[str, Any]) -> list[str]:
     packages = ", ".join(f"{name} {version}" for name, version in ambient["packages"].items())
     return [
-        f"load {ambient['load'][0]} before, {ambient['load_after'][0]} after, on {ambient['cores']} cores"
+        f"load {ambient['load'][0]} before, {ambient['load_after'][0]} after, on {counted(ambient['cores'], 'core')}"
         + (f"; neighbours took {stolen} % of the busy time" if (stolen := ambient["stolen_percent"]) else ""),
         f"igtl-gateway {ambient['igtl_gateway']}, Python {ambient['python']}, {packages}",
     ]

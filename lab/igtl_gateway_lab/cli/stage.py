@@ -16,6 +16,7 @@ from typing import Any
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError, RecordingError, Unavailable
 from igtl_gateway.base.extras import missing
+from igtl_gateway.base.near import one_of
 from igtl_gateway.base.quantities import count_text, size_text
 from igtl_gateway.cli.common import stop_event
 from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT
@@ -282,7 +283,9 @@ def play_actor(options: argparse.Namespace, scenario: Scenario) -> int:
     cast = scenario.cast(options.duration)
     actor = next((one for one in cast if one.name == options.actor), None)
     if actor is None:
-        raise ConfigError(f"--actor: found {options.actor!r}, expected one of {', '.join(one.name for one in cast)}")
+        raise ConfigError(
+            f"--actor: found {options.actor!r}, expected {one_of(options.actor, (one.name for one in cast))}"
+        )
     if actor.side is ActorProtocol.ROS:
         prepare_environment()
     connection = IgtlEndpoint(options.listen or options.connect or (DEFAULT_HOST, DEFAULT_PORT), bool(options.listen))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.near import one_of
 
 #: Type → what its size counts, its least, its default and its greatest.
 SIZES = {
@@ -40,7 +41,7 @@ class Load:
 
     def __post_init__(self) -> None:
         if self.type not in SIZES:
-            raise ConfigError(f"--type: found {self.type!r}, expected one of {', '.join(SIZES)}")
+            raise ConfigError(f"--type: found {self.type!r}, expected {one_of(self.type, SIZES)}")
         unit, least, _, most = SIZES[self.type]
         if self.size and not least <= self.size <= most:
             expected = f"{least:,} to {most:,} {unit}" if unit else "none"
@@ -50,7 +51,7 @@ class Load:
         if not 1 <= self.count <= _MAX_COUNT:
             raise ConfigError(f"--count: found {self.count:,}, expected 1 to {_MAX_COUNT:,}")
         if self.sender not in SENDERS:
-            raise ConfigError(f"--sender: found {self.sender!r}, expected one of {', '.join(SENDERS)}")
+            raise ConfigError(f"--sender: found {self.sender!r}, expected {one_of(self.sender, SENDERS)}")
 
     @property
     def length(self) -> int:

@@ -14,6 +14,7 @@ from igtl_gateway.addons.deidentify.profile import BASIC
 from igtl_gateway.addons.deidentify.pseudonyms import MIN_KEY_BYTES
 from igtl_gateway.addons.deidentify.report import Report
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.quantities import counted
 from tests.tables import table
 
 MOST_S = 1 << 32
@@ -88,7 +89,7 @@ def test_the_key_of_a_file(size: int, tmp_path: Path, called: dict[str, Any]) ->
         assert verb_run.run(options(tmp_path, secret=tmp_path / "key")) == 0
         assert called["words"][3] == bytes(range(size))
         return
-    with pytest.raises(ConfigError, match=f"found {size} bytes, expected at least {MIN_KEY_BYTES}"):
+    with pytest.raises(ConfigError, match=f"found {counted(size, 'byte')}, expected at least {MIN_KEY_BYTES}"):
         verb_run.run(options(tmp_path, secret=tmp_path / "key"))
 
 

@@ -187,7 +187,7 @@ def test_another_version_is_refused(tmp_path: Path, version: str) -> None:
         (("sizes: 4 3 2", "line skip: 3"), "line skip"),
         (("sizes: 4 3 2", "byte skip: -7"), "byte skip"),
         ((*FRAMES, "axis 2 index values:=0 1 2"), "axis 2 index values: found 3 numbers, expected 2"),
-        ((*FRAMES, "axis 2 index values:=0"), "axis 2 index values: found 1 numbers, expected 2"),
+        ((*FRAMES, "axis 2 index values:=0"), "axis 2 index values: found 1 number, expected 2"),
         ((*FRAMES, "axis 2 index values:=0 nan"), "axis 2 index values: found 'nan', expected a finite number"),
     ],
 )

@@ -240,7 +240,7 @@ def test_what_cannot_be_read_is_refused(tmp_path: Path) -> None:
         Pcap(path)
     write(path, Talk().open().say(message("a")).packets)
     path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(DamagedRecording, match="cut off inside packet 3, 1 bytes short"):
+    with pytest.raises(DamagedRecording, match="cut off inside packet 3, 1 byte short"):
         read(path)
 
 

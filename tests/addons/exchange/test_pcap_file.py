@@ -145,7 +145,7 @@ def test_interfaces_and_sections_have_their_own_link_type_units_and_byte_order(t
     items, source = items_of(tmp_path / "some.pcapng", first.data + second.data)
     assert said(items) == [message("a"), message("b"), message("c")]
     assert {item.time_ns for item in items} == {2 * SECOND, 3 * SECOND}
-    assert source.notes == [f"1 packets of other link types ({USB}) are left out"]
+    assert source.notes == [f"1 packet of other link types ({USB}) are left out"]
 
 
 def test_simple_and_obsolete_packet_blocks(tmp_path: Path) -> None:
@@ -157,7 +157,7 @@ def test_simple_and_obsolete_packet_blocks(tmp_path: Path) -> None:
     items, source = items_of(tmp_path / "some.pcapng", file.data)
     assert said(items) == [message("a"), message("b"), message("c")]
     assert {item.time_ns for item in items} == {4 * SECOND}  # a simple block has no time of its own
-    assert source.notes == ["1 packets were captured only in part"]
+    assert source.notes == ["1 packet was captured only in part"]
 
 
 def test_other_blocks_and_options_do_not_matter(tmp_path: Path) -> None:

@@ -123,7 +123,7 @@ def test_long_labels_are_cut_and_noted(tmp_path: Path) -> None:
     points["controlPoints"][0]["label"] = "é" * 32 + "x"
     (message,), source, _ = read(markups(tmp_path, points))
     assert message.content.elements["name"].tolist() == [("é" * 32).encode(), b"F-2"]  # type: ignore[attr-defined]
-    assert source.notes == ["Targets: 1 labels are cut to 64 bytes, which is the most that POINT has"]
+    assert source.notes == ["Targets: 1 label is cut to 64 bytes, which is the most that POINT has"]
 
 
 def test_a_file_without_markups_or_without_a_space(tmp_path: Path) -> None:

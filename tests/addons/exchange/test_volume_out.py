@@ -147,7 +147,7 @@ def whole_images(file: SessionFile, stream: str) -> Iterator[Image]:
 @table(
     ("matrix", "note"),
     [
-        ((1.0, 0, 0, 0, 1, 0, 0, 0, 0, 5, 6, 7), "1 slices without a third axis"),
+        ((1.0, 0, 0, 0, 1, 0, 0, 0, 0, 5, 6, 7), "1 slice without a third axis"),
         ((math.nan, 0, 0, 0, 1, 0, 0, 0, 1, 5, 6, 7), "1 without a position"),
         ((1.0, 0, 0, 2, 0, 0, 0, 0, 1, 5, 6, 7), "1 without a position"),
         ((0.0, 0, 0, 0, 1, 0, 0, 0, 1, 5, 6, 7), "1 without a position"),

@@ -283,8 +283,8 @@ CASES: list[tuple[Callable[[Path, str], None], str, tuple[str, ...]]] = [
     (no_checksums, "meta/SHA256SUMS: No such file", ("v3.0",)),
     (climbing_checksums, "found '0000", ("v2.1",)),
     (unlisted_file, "meta/more.json: found a file that meta/SHA256SUMS does not list", ("v3.0",)),
-    (null_cell, "observation.state: found 1 missing values", VERSIONS),
-    (null_number, "observation.state: found 1 missing values", ("v2.1",)),
+    (null_cell, "observation.state: found 1 missing value", VERSIONS),
+    (null_number, "observation.state: found 1 missing value", ("v2.1",)),
     (null_in_the_provenance, "time_ns: found missing values or no numbers", ("v2.1",)),
 ]
 

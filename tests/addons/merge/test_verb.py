@@ -59,7 +59,7 @@ def test_the_verbs_read_a_merged_session_and_its_parts(
         (["--offset", "r1=nan"], "--offset: found 'r1=nan', expected NAME=SECONDS"),
         (["--offset", "r9=1"], "offset of 'r9': found no such part, expected one of r1"),
         (["--sync", "/a", "/b", "--offset", "r1=1"], "--sync: expected two recordings and no --offset"),
-        (["--sync", "/a", "/b"], "found no stream '/a', expected one of"),
+        (["--sync", "/a", "/b"], "found no stream '/a', expected a recorded stream"),
         (["--max-lag", "2"], "--max-lag: found no --sync STREAM STREAM, expected it: the option has no effect here"),
         (["--extract", "r1"], "--extract: expected one merged session"),
     ],

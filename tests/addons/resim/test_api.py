@@ -89,7 +89,7 @@ class TestTheFixture:
         assert "AssertionError: NOT DETERMINISTIC: a timer races /in: /out, message 21 at 0.140000 s" in result.stdout
         assert "UserWarning: a timer races /in: /out, message 21 at 0.140000 s" in result.stdout
         assert (
-            "AssertionError: DIFFERENT from good.mcap in 1 of 1 streams (1 run): "
+            "AssertionError: DIFFERENT from good.mcap in 1 of 1 stream (1 run): "
             "/plan, message 500 at 4.990000 s: transform.qw is" in result.stdout
         )
         assert "/plan: 600 messages: 101 differ; at most 1°" in result.stdout

@@ -187,7 +187,7 @@ def test_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert main([*arguments, *program]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "1 run; equal to good.mcap"
     assert main([*arguments, *program, "random"]) == 1
-    assert "DIFFERENT from good.mcap in 1 of 1 streams (1 run): TRANSFORM/Answer" in capsys.readouterr().out
+    assert "DIFFERENT from good.mcap in 1 of 1 stream (1 run): TRANSFORM/Answer" in capsys.readouterr().out
     assert main([*arguments, *program, "close"]) == 2
     assert "CANNOT BE JUDGED: igtl_answer.py: closed its connection at " in capsys.readouterr().out
 

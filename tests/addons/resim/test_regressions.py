@@ -51,7 +51,7 @@ def test_a_regression_is_named(verdict_of: Callable[[str], Verdict], regression:
     assert text.startswith(PLACE + begin) and text.endswith(end), text
     (stream,) = verdict.streams
     assert (stream.different, stream.missing, stream.extra, stream.late) == counts
-    assert verdict.line() == f"DIFFERENT from good.mcap in 1 of 1 streams (1 run): {text}"
+    assert verdict.line() == f"DIFFERENT from good.mcap in 1 of 1 stream (1 run): {text}"
 
 
 def test_no_regression_no_alarm(verdict_of: Callable[[str], Verdict]) -> None:

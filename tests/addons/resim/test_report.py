@@ -167,9 +167,9 @@ def test_bytes_of_a_type_that_is_not_read_count(tmp_path: Path) -> None:
             one,
             other,
             1,
-            "DIFFERENT from 3.mcap in 1 of 1 streams (1 run): /switch/_service_event: bytes of its messages",
+            "DIFFERENT from 3.mcap in 1 of 1 stream (1 run): /switch/_service_event: bytes of its messages",
         ),
-        (nothing, one, 1, "DIFFERENT from 1.mcap in 1 of 1 streams (1 run): /switch/_service_event, message 1 at 0"),
+        (nothing, one, 1, "DIFFERENT from 1.mcap in 1 of 1 stream (1 run): /switch/_service_event, message 1 at 0"),
     ):
         verdict = compare(RunResult(Path("lab.mcap"), None, [run_]), reference=baseline.outputs)
         assert (verdict.exit_code, verdict.line()[: len(line)]) == (code, line)

@@ -178,7 +178,7 @@ def test_several_pairs_have_one_lag(tmp_path: Path, capsys: pytest.CaptureFixtur
         streams = [recording[name] for name in names]
         again = igtl_gateway.lag(streams[::2], streams[1::2], max_lag_s=5)
         assert again.lag_s == lag["lag_s"]
-        with pytest.raises(ConfigError, match="found 2 fixed and 1 moving streams"):
+        with pytest.raises(ConfigError, match="found 2 fixed and 1 moving stream"):
             igtl_gateway.lag(streams[::2], streams[1:2])
     with SessionFile.open(path) as file:
         settings = {"streams": names[:2], "pairs": [names[2:]], "max_lag_s": 5.0}
@@ -236,12 +236,12 @@ def test_the_library_of_charts_is_missing_before_the_search(
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (["TRANSFORM/Prob", "IMAGE/Video"], "found no stream 'TRANSFORM/Prob'; did you mean 'TRANSFORM/Probe'"),
-        (["TRANSFORM/Probe"], "found 1 streams in which something could move, expected two"),
+        (["TRANSFORM/Prob", "IMAGE/Video"], "found no stream 'TRANSFORM/Prob', expected a recorded"),
+        (["TRANSFORM/Probe"], "found 1 stream in which something could move, expected two"),
         (["--max-lag", "0"], "--max-lag: found 0, expected more than 0"),
         (
             ["TRANSFORM/Probe", "--pair", "IMAGE/Video", "SENSOR/Force"],
-            "--pair: found 1 streams, expected two before it",
+            "--pair: found 1 stream, expected two before it",
         ),
         (["--apply"], "--apply: found it or -o OUT alone, expected both"),
         (["TRANSFORM/Probe", "IMAGE/Video", "SENSOR/Force", "--apply", "-o", "x"], "found 3 streams, expected two"),

@@ -53,9 +53,9 @@ def test_a_joint_has_its_name() -> None:
 @table(
     ("word", "message"),
     [
-        ("TRANSFORM/ToolToBas.x_mm", "found no stream of this name; did you mean 'TRANSFORM/ToolToBase'?"),
-        ("TRANSFORM/ToolToBase.x_m", "found no number 'x_m' in TRANSFORM/ToolToBase; did you mean 'x_mm'?"),
-        ("TRANSFORM/ToolToBase", "found no field behind TRANSFORM/ToolToBase; expected one of x_mm, y_mm"),
+        ("TRANSFORM/ToolToBas.x_mm", "star.mcap lists them; did you mean 'TRANSFORM/ToolToBase'?"),
+        ("TRANSFORM/ToolToBase.x_m", "found no number 'x_m' in TRANSFORM/ToolToBase, expected one of x_mm, "),
+        ("TRANSFORM/ToolToBase", "found no field behind TRANSFORM/ToolToBase, expected one of x_mm, y_mm"),
         ("/igtl/in/PlanPoints/landmarks.points[99].position.x_m", "found no number 'points.99.position.x_m'"),
         ("/star/camera/image.data", "found no number 'data'"),
     ],

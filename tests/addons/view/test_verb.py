@@ -197,7 +197,7 @@ def test_a_field_that_no_cloud_has_is_told(tmp_path: Path, capsys: pytest.Captur
     arguments = ["view", str(FIXTURES / "ultrasound.mcap"), "--overwrite", "-o", str(tmp_path / "out.rrd")]
     assert main([*arguments, "--colour-by", "noise"]) == 0
     told = capsys.readouterr().out
-    assert "? --colour-by: found no cloud with a field 'noise', expected one of: " in told
+    assert "? --colour-by: found no cloud with a field 'noise', expected one of " in told
     assert main([*arguments, "--colour-by", "z"]) == 0
     assert "--colour-by" not in capsys.readouterr().out
 
@@ -249,8 +249,8 @@ def test_the_lag_of_a_stream_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixt
         "/lag/curves/moving": 500,
         "/lag/curves/corrected": 500,
     }
-    assert main(["view", str(path), "-o", str(out), "--overwrite", "--sync", "/a", "/c"]) == 1
-    assert "found no stream '/c', expected one of /a, /b" in capsys.readouterr().err
+    assert main(["view", str(path), "-o", str(out), "--overwrite", "--sync", "/a", "/c"]) == 2
+    assert "found no stream '/c', expected a recorded stream" in capsys.readouterr().err
     assert main(["view", str(path), "-o", str(out), "--overwrite", "--sync", "/a", "/b"]) == 0
     assert "/b behind /a: +5" in capsys.readouterr().out
 

@@ -82,7 +82,7 @@ def test_calls_are_answered_with_number_and_gid_of_the_caller(port: int, sides: 
     ("payload", "attachment", "words"),
     [
         (TriggerRequest().pack(), None, "attachment of 0 bytes"),
-        (TriggerRequest().pack(), b"x", "attachment of 1 bytes"),
+        (TriggerRequest().pack(), b"x", "attachment of 1 byte"),
         (None, VALID, "request of 0 bytes"),
         (b"\0", VALID, "CDR"),
     ],

@@ -96,16 +96,16 @@ GROUP = {1: [CHUNK], 3: 1}
         ({2: [ROOT, {1: 7, 2: -1, 4: b"a"}], 4: []}, "a: found type 7 with the width -1"),
         ({2: [ROOT, {1: 1, 2: 4, 4: b"a\n" + b"x" * 200, 5: 0}], 4: [{3: 1}]}, "row group 0: found no list"),
         ({2: [ROOT, COLUMN], 4: [{1: [CHUNK]}]}, "rows: found NoneType in field 3, expected an integer of 0 or more"),
-        ({2: [ROOT, COLUMN], 4: [{1: [], 3: 1}]}, "row group 0: found 0 columns and 1 rows, expected 1"),
-        ({2: [{4: b"s", 5: 0}], 4: [{1: [], 3: 1}]}, "row group 0: found 0 columns and 1 rows, expected 0"),
+        ({2: [ROOT, COLUMN], 4: [{1: [], 3: 1}]}, "row group 0: found 0 columns and 1 row, expected 1"),
+        ({2: [{4: b"s", 5: 0}], 4: [{1: [], 3: 1}]}, "row group 0: found 0 columns and 1 row, expected 0"),
         ({2: [ROOT, COLUMN], 4: [{1: [{2: 1}], 3: 1}]}, "row group 0, a: found no metadata, expected them"),
         (
             {2: [ROOT, COLUMN], 4: [{1: [{3: {5: 2, 7: 12, 9: 4}}], 3: 1}]},
-            "row group 0, a: found 2 values in 1 rows, expected one for each",
+            "row group 0, a: found 2 values in 1 row, expected one for each",
         ),
         (
             {2: [ROOT, COLUMN], 4: [{1: [{3: {5: 1, 7: 12, 9: 4}}], 3: 2}]},
-            "found 1 values in 2 rows, expected one for each",
+            "found 1 value in 2 rows, expected one for each",
         ),
         ({2: [ROOT, COLUMN], 4: [{1: [{3: {5: 1, 9: 4}}], 3: 1}]}, "found NoneType in field 7"),
         (

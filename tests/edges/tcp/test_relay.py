@@ -144,7 +144,7 @@ def test_a_crowd_is_refused_with_those_that_wait_counted(world: World, monkeypat
     waiting: Peer = world.peer(port)
     assert world.peer(port).receive() is None
     (note,) = seen.wait("refused")
-    assert "1 clients are connected already" in note.text
+    assert "1 client is connected already" in note.text
     waiting.close()
 
 

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile import chunk_columns, records
 from igtl_gateway.record.sessionfile.chunk_columns import Columns
@@ -91,7 +92,7 @@ def test_all_find_the_same(data: bytes, step: int) -> None:
     assert compiled.rows_of(data) == PYTHON.rows_of(data) == (with_data, times == sorted(times), end)
     for module in (compiled, PYTHON):
         assert taken(module, data, len(rows), step) == rows
-        with pytest.raises(ValueError, match=f"found {len(rows)} messages, expected {len(rows) + 1}"):
+        with pytest.raises(ValueError, match=f"found {counted(len(rows), 'message')}, expected {len(rows) + 1}"):
             module.take(data, 0, *Columns.empty(len(rows) + 1))
 
 
