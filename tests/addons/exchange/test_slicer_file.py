@@ -98,7 +98,7 @@ def test_points_without_a_position_are_counted(tmp_path: Path) -> None:
     points["controlPoints"].append({"label": "x", "position": [0, 0, 0], "positionStatus": "undefined"})
     (message,), source, _ = read(markups(tmp_path, points))
     assert len(message.content.elements) == 1  # type: ignore[attr-defined]
-    assert source.rows[0].why == "without 1 control points that have no position"
+    assert source.rows[0].why == "without 1 control point that has no position"
 
 
 def test_several_markups_have_numbers_behind_their_names(tmp_path: Path) -> None:
