@@ -56,12 +56,12 @@ def one_of(word: str, names: Iterable[str], most: int = 0) -> str:
 def nearest_name(word: str, names: Iterable[str]) -> str:
     """Return the name that is nearest to ``word``, or "": one that is like it, or has the same last level."""
     listed = sorted(set(names) - {word})
-    if found := near_names(word, listed, 0.7):
+    if found := _alike(word, listed, 0.7):
         return found[0]
     last = word.rpartition("/")[2].lower()
     ends = [name for name in listed if last and name.rpartition("/")[2].lower() == last]
     lower = {name.lower(): name for name in listed}
-    return next(iter(ends), "") or next((lower[name] for name in near_names(word.lower(), lower, 0.8)), "")
+    return next(iter(ends), "") or next((lower[name] for name in _alike(word.lower(), list(lower), 0.8)), "")
 
 
 def near_streams(glob: str, streams: Iterable[str]) -> list[str]:
