@@ -41,7 +41,7 @@ def _alike(word: str, names: list[str], likeness: float) -> list[str]:
 
 
 def one_of(word: str, names: Iterable[str], most: int = 0) -> str:
-    """Return what is expected in place of a word that is none of the names: ``one of a, b; did you mean 'b'?``.
+    """Return what is expected in place of a word that is not one of the names: ``one of a, b; did you mean 'b'?``.
 
     Args:
         most: names that are listed; 0: all.
@@ -97,7 +97,7 @@ def unmatched(glob: str, streams: Iterable[str], what: str = "recorded stream") 
 
 
 def streams_expected(globs: Iterable[str], streams: Iterable[str], file: object = "FILE") -> str:
-    """Return what is expected in place of names or globs that are no recorded streams, and what lists these."""
+    """Return what is expected in place of names or globs that match no recorded stream, and what lists these."""
     names = sorted(streams)
     question = did_you_mean(dict.fromkeys(near for glob in globs for near in near_streams(glob, names)))
     listed = f"expected a recorded stream: igtl-gateway info {quote(str(file))} lists them"

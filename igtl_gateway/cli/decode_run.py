@@ -14,7 +14,7 @@ from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import ConfigError, GatewayError, MessageTooLarge, WireError
 from igtl_gateway.base.quantities import count_text, counted
 from igtl_gateway.base.untrusted import cpu_time
-from igtl_gateway.base.untrusted.files import is_same
+from igtl_gateway.base.untrusted.files import is_same, near_file
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.record.sessionfile.new_file import open_new
 from igtl_gateway.record.sessionfile.whole_files import written
@@ -47,7 +47,8 @@ def _source(name: str) -> BufferedReader[FileIO]:
     try:
         return BufferedReader(FileIO(sys.stdin.fileno() if name == "-" else name, closefd=name != "-"))
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{name}: {_reason(error)}") from None
+        near = near_file(Path(name)) if isinstance(error, FileNotFoundError) else ""
+        raise ConfigError(f"{name}: {_reason(error)}{near}") from None
 
 
 @contextmanager

@@ -8,9 +8,13 @@ import math
 from igtl_gateway.app.comparison import RecordingDiff, compare_recordings
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.quantities import by_count, count_text, duration_text, offset_text
+from igtl_gateway.cli.losses import DIRECTIONS
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.replay.compare import Tolerance
 from igtl_gateway.replay.diff import StreamDiff
+
+#: What the log calls a side → what people call it; of files of other programs only that it is ROS is known.
+_SIDES = {kind.value: text for kind, text in DIRECTIONS.items()} | {"ros": "ROS"}
 
 
 def run(options: argparse.Namespace) -> int:
@@ -41,9 +45,13 @@ def _print(options: argparse.Namespace, report: RecordingDiff) -> None:
     print_line(*aligned(rows, left=1))
     for stream in report.streams:
         for line in _places(stream):
-            print_line(f"{stream.kind} {stream.stream}".rstrip() + f": {line}")
+            print_line(f"{_name(stream)}: {line}")
     wrong = sum(not stream.equal for stream in report.streams)
-    print_line("equal" if report.equal else f"DIFFERENT: {count_text(wrong, 'stream')} of {len(report.streams)}")
+    print_line("equal" if report.equal else f"DIFFERENT: {count_text(wrong, 'stream')} of {len(report.streams):,}")
+
+
+def _name(stream: StreamDiff) -> str:
+    return f"{_SIDES.get(stream.kind, stream.kind)} {stream.stream}".rstrip()
 
 
 def _later(offset_ns: float) -> str:
@@ -53,7 +61,7 @@ def _later(offset_ns: float) -> str:
 def _row(stream: StreamDiff, report: RecordingDiff) -> tuple[str, ...]:
     paired = stream.messages - stream.missing
     return (
-        f"{stream.kind} {stream.stream}".rstrip(),
+        _name(stream),
         *(f"{number:,}" for number in (stream.messages, stream.other_messages)),
         *(f"{number:,}" if number else "" for number in (stream.missing, stream.extra)),
         f"{stream.different + stream.restamped:,}" if stream.different + stream.restamped else "",

@@ -18,13 +18,17 @@ _LONGEST_KEY = 24
 _HANG = 4
 _MARK = re.compile(r" *[-*=?!] ")
 _KEY = re.compile(rf" *\S.{{0,{_LONGEST_KEY}}}?  +(?=\S)")
-#: A command: its verb, and the words behind it that are options, paths, numbers or in capital letters.
+#: A command: its verb, and the words behind it that are options, paths, numbers, in capital letters, or in front of an
+#: option or the end.
 _COMMAND = re.compile(
-    r"igtl-gateway [a-z]+(?: (?:'[^']*'|\"[^\"]*\"|-\S+|[^\s']*[/.=:*]\S*|[A-Z_]+[;,)]?|[0-9]{1,18}[;,)]?))*(?=\s|$)"
+    r"igtl-gateway (?:cohort |seal )?[a-z]+"
+    r"(?: (?:'[^']*'|\"[^\"]*\"|-\S+|[^\s']*[/.=:*]\S*|[A-Z_]+[;,)]?|[0-9]{1,18}[;,)]?|[^\s';,]+(?= -\S|$)))*(?=\s|$)"
 )
 #: A number and its unit, and what stands in backquotes, are on one line.
 _TOGETHER = re.compile(r"[0-9] (?:ns|µs|ms|s|min|h|k?Hz|[kMGT]?B|[KMG]iB|mm|m|%|ppm)\b|`[^`]{,60}`")
 _GLUE, _SPACE = "\0", "\1"
+#: What is in quotes is one word.
+_WORDS = re.compile(r"(?:'[^']*'|\"[^\"]*\"|[^\0'\"])+")
 
 
 def wrapped(line: str, columns: int) -> list[str]:
@@ -60,7 +64,7 @@ def _command_lines(command: str, room: int) -> list[str]:
     """Return a command whose spaces are glued as pieces, each but the last one with a backslash."""
     if len(command) <= room:
         return [command]
-    first, *words = command.split(_GLUE)
+    first, *words = _WORDS.findall(command)
     pieces = [f"{first}{_GLUE}{words[0]}"]
     for word in words[1:]:
         if len(pieces[-1]) + 1 + len(word) + 2 > room - _HANG:

@@ -266,7 +266,7 @@ class Parser(argparse.ArgumentParser):
         return f"unrecognized arguments: {word}" + (f"; {question}" if question else "")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Refuse a word that is none of the choices, with the nearest one."""
+        """Refuse a word that is not one of the choices, with the nearest one."""
         if action.choices is not None and value not in action.choices:
             expected = one_of(str(value), map(str, action.choices))
             raise argparse.ArgumentError(action, f"invalid choice: {value!r}, expected {expected}")

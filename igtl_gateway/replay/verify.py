@@ -358,7 +358,7 @@ def compare(recorded: Entry, computed: Entry, cause: int, decoder: LeafDecoder |
         for part in computed.payload:
             digest.update(part)
         stated, found = (
-            f"{value.hex()} ({size} bytes)"
+            f"{value.hex()} ({counted(size, 'byte')})"
             for size, value in ((recorded.true_size, recorded.digest), (computed.size, digest.digest()))
         )
         return None if stated == found else differ(DIGEST, stated, found)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from igtl_gateway.base.near import near_streams, unmatched, without_match
+from igtl_gateway.base.near import near_names, near_streams, one_of, streams_expected, unmatched, without_match
 from tests.tables import table
 
 STREAMS = [

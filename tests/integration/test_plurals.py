@@ -24,7 +24,7 @@ _NOUNS = (
 ).split()
 #: A value of an f-string and a plural behind it, with an adjective between them.
 _COUNT = re.compile(r"(?<![x×] )\{([^{}]+?)(?::,)?\} ((?:[a-z]+ )?)(?:" + "|".join(_NOUNS) + r")\b(?![-/=])")
-#: Words that are no adjectives.
+#: Words that are not adjectives.
 _OTHERS = set(
     "of in to from by with for at as and or is are has have sends does than no the a not sent per after before without "
     "if states that these its their needs moves shows takes more".split()
@@ -36,7 +36,7 @@ NOT_ONE = {
     "size[0]", "short(rhythms[0].rate_hz)", "found[0]", "one.lengths.positions", "one.timing.stamped", "way",
     "theirs", "rows", "track.name", "row", "each", "_sizes_text([components])", "_short(lengths[0])",
     "_leaves(table[name])", "place", "wanted", "found", "key", "str(size)[:20]", "str(inner[1])[:20]",
-    "_name(packed)", "_name(count)", "peer", "data['expected'] or '?'",
+    "len(options.files)", "len(paths)", "_name(packed)", "_name(count)", "peer", "data['expected'] or '?'",
 }  # fmt: skip
 
 

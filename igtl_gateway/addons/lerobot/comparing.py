@@ -113,7 +113,8 @@ def _sessions(
         yield f"{printable(str(path))}: found a recording that meta/{SESSIONS} does not list, expected one of the set"
     if compared < len(sessions):
         notes.append(
-            f"{len(sessions) - compared:,} of {len(sessions):,} sessions were not compared: no recording given"
+            f"{len(sessions) - compared:,} of {count_text(len(sessions), 'session')} were not compared: "
+            "no recording given"
         )
     elif not given:
         yield from _totals(found, totals)

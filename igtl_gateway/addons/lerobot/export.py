@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.addon import ConfigError, GatewayError
+from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addon.untrusted import check_limit, printable, read_bytes
 from igtl_gateway.addon.writing import make_folder, written_folder
 from igtl_gateway.addons.lerobot.assembling import Part, SetSoFar, assemble
@@ -156,7 +157,7 @@ def _replies(jobs: Sequence[Job], do: Runner) -> list[Mapping[str, Any]]:
 
 def _together(count: int, texts: Sequence[str], *, is_config: bool = True) -> GatewayError:
     more = f"; and {len(texts) - _MOST:,} more" if len(texts) > _MOST else ""
-    text = f"{len(texts):,} of {count:,} sessions do not fit: {'; '.join(texts[:_MOST])}{more}"
+    text = f"{len(texts):,} of {count_text(count, 'session')} do not fit: {'; '.join(texts[:_MOST])}{more}"
     return ConfigError(text) if is_config else GatewayError(text)
 
 

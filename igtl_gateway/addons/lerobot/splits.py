@@ -85,7 +85,8 @@ def assigned(splits: Mapping[str, Value] | None, groups: Sequence[Group]) -> dic
         return {each.name: found.get(each.name) or _named(named, each.name) for each in groups}
     if len(groups) < len(shares):
         raise ConfigError(
-            f"splits: found {len(groups)} sessions or patients for {len(shares)} splits, expected one or more for each"
+            f"splits: found {counted(len(groups), 'session or patient', 'sessions or patients')} for "
+            f"{len(shares)} splits, expected one or more for each"
         )
     frames = dict.fromkeys(shares, 0)
     for each in groups:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import os
 import stat
 import sys
 from itertools import islice
@@ -57,8 +56,7 @@ def near_file(path: Path) -> str:
 def _names_in(folder: Path) -> list[str]:
     """Return the names of the files in a folder that are not hidden: the first ones of many."""
     try:
-        with os.scandir(folder) as entries:
-            return sorted(each.name for each in islice(entries, _MOST_NAMES) if not each.name.startswith("."))
+        return sorted(each.name for each in islice(folder.iterdir(), _MOST_NAMES) if not each.name.startswith("."))
     except (OSError, ValueError):
         return []
 

@@ -38,7 +38,12 @@ print(json.dumps([base, found]))
 def test_what_a_person_waits_for_does_not_stand_back_with_the_page() -> None:
     """A replay of 233 MB opened after 62 s, and Verify did not end: both had a tenth of a processor."""
     text = subprocess.run(
-        [sys.executable, "-c", _PROGRAM], env=environment(), capture_output=True, text=True, check=True
+        [sys.executable, "-c", _PROGRAM],
+        env=environment(),
+        capture_output=True,
+        text=True,
+        check=True,
+        start_new_session=True,  # else the session of the tests stands back, too, and never again forward
     )
     base, found = json.loads(text.stdout)
     expected = {"page": 10, "work": WORK, "replays": REPLAYS}

@@ -110,6 +110,7 @@ _DIGITS = {
 _ENDLESS = {
     "addons/cohort/loading.py": "the names of open files",
     "addons/cohort/report.py": "names, for their order",
+    "addons/exchange/formats.py": "names of files",
     "convert/plus_signs.py": "names of frames",
     "doctor/host_facts.py": "globs of names of files",
     "addons/resim/processes.py": "a glob of names of files",
