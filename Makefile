@@ -142,7 +142,7 @@ wheels:
 publish: $(READY)
 	@$(BIN)/python -m tools.publish $(REMOTE:%=--remote %)
 
-$(READY): pyproject.toml lab/pyproject.toml constraints.txt igtl_gateway/base/version.py hatch_build.py $(shell find igtl_gateway -name "_*.[ch]")
+$(READY): pyproject.toml lab/pyproject.toml constraints.txt igtl_gateway/base/version.py hatch_build.py igtl_gateway/edges/ros_interfaces/build.py $(shell find igtl_gateway -name "_*.[ch]")
 	@tools/setup.sh venv
 	@touch $@
 

@@ -16,7 +16,9 @@ from igtl_gateway.base.errors import GatewayError
 _NO_MCAP, _OTHERS, _FOLDER = "not an MCAP file", "of another program", "found a directory"
 #: Verb of one recording → that of `cohort`, which takes many.
 COHORT = {"info": "info", "doctor": "lint", "lint": "lint", "verify": "verify", "review": "review", "sync": "sync"}
-#: Recordings of a folder that are counted.
+#: Verbs that take folders, or read no recording.
+_OF_FOLDERS = ("cohort", "decode", "keep", "page", "upload")
+#: Files in and below a folder that are looked at.
 _MOST = 10_000
 #: Recordings that a command names.
 _NAMED = 5
@@ -31,7 +33,7 @@ def import_hint(error: GatewayError, options: argparse.Namespace) -> str:
     if folder := folder_hint(error, options):
         return folder
     for path in _paths(options):
-        if f"{path}:" not in text or not path.exists():
+        if f"{path}:" not in text or not os.path.exists(path):
             continue
         what = part_of("exchange", "formats:what_to_import")(path)
         if not what and _NO_MCAP in text and (other := part_of("exchange", "formats:what_is_foreign")(path)):
@@ -51,11 +53,13 @@ def folder_hint(error: GatewayError, options: argparse.Namespace) -> str:
     The error may be about the first of its files.
     """
     verb = getattr(options, "verb", "")
-    is_named = verb in COHORT
+    if verb in _OF_FOLDERS:
+        return ""
     for path in _paths(options):
-        if not path.is_dir() or path == getattr(options, "output", None):
+        if not os.path.isdir(path) or path == getattr(options, "output", None):
             continue
-        if not (is_named or f"{path}:" in str(error) or f"{path}/" in str(error)):
+        # of the folder "." the names of files say nothing of it
+        if not (verb in COHORT or str(error).startswith((f"{path}:", f"{path}/"))):
             continue
         number = _recordings_in(path)
         if number > 1 and is_present("exchange") and not part_of("exchange", "formats:is_bag")(path):
@@ -64,13 +68,14 @@ def folder_hint(error: GatewayError, options: argparse.Namespace) -> str:
 
 
 def _recordings_in(folder: Path) -> int:
-    """Return the number of MCAP files in and below a folder, at most `_MOST` of them."""
-    return sum(1 for _ in islice(folder.rglob("*.mcap"), _MOST))
+    """Return the number of MCAP files among the first files in and below a folder."""
+    files = (name for _, _, names in os.walk(folder) for name in names)
+    return sum(name.endswith(".mcap") for name in islice(files, _MOST))
 
 
 def _several(number: int, folder: Path, verb: str) -> str:
     """Return the words about a folder with several recordings, with the command that takes all of them."""
-    many = f"found a directory with {number:,}{'' if number < _MOST else ' or more'} recordings, expected one of them"
+    many = f"found a directory with {number:,} recordings, expected one of them"
     return f"{many}; {_of_all(verb, [str(folder)])}" if verb in COHORT and is_present("cohort") else many
 
 
@@ -78,7 +83,7 @@ def several_hint(verb: str, options: argparse.Namespace, further: Sequence[str])
     """Return the command for the recordings that were given to a verb of one, for its error; "" without one."""
     if verb not in COHORT or not is_present("cohort") or not all(map(os.path.exists, further)):
         return ""
-    first = [str(path) for path in _paths(options) if path.exists()][:1]
+    first = [str(path) for path in _paths(options) if os.path.exists(path)][:1]
     return _of_all(verb, [*first, *further])
 
 

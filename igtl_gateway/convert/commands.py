@@ -112,10 +112,11 @@ def reply_to_igtl(message: CommandReply, to: ToIgtlContext) -> ConvertedMessage:
 
 
 def with_failure_in_text(message: CommandReply) -> CommandReply:
-    """Return a reply for header version 1: a failure is in its content, which is its reason if it has no other."""
+    """Return a reply for header version 1: a failure is in its content, with its reason and the content it had."""
     if message.status == CommandReply.SUCCESS or reply_result(message.content, ())[0] != CommandReply.SUCCESS:
         return message
-    return replace(message, content=failure_text(message.name, message.error_message or message.content))
+    reason = ": ".join(text for text in (message.error_message, message.content) if text)
+    return replace(message, content=failure_text(message.name, reason))
 
 
 def failure_text(name: str, reason: str) -> str:

@@ -107,7 +107,7 @@ static PyObject *take(PyObject *module, PyObject *const *args, Py_ssize_t count)
     if (taken == (size_t)most)
         result = PyLong_FromSize_t(at);
     else
-        PyErr_Format(PyExc_ValueError, "take: found %zu messages, expected %zd", taken, most);
+        PyErr_Format(PyExc_ValueError, "take: found %zu message%s, expected %zd", taken, taken == 1 ? "" : "s", most);
 done:
     release(&held);
     return result;

@@ -156,7 +156,7 @@ def test_wrong_arguments_are_errors_in_one_line() -> None:
         wrong: list[tuple[list[Any], Any, dict[str, Any], str]] = [
             ([tool], "nothing", {}, "on: found 'nothing', expected one of TRANSFORM/ToolToBase"),
             ([tool], tool, {"tolerance": -1}, "tolerance: found -1, expected 0 or more seconds"),
-            ([tool], tool, {"method": "cubic"}, "method: found 'cubic', expected 'nearest' or 'interpolate'"),
+            ([tool], tool, {"method": "cubic"}, "method: found 'cubic', expected one of nearest, interpolate"),
             ([tool], tool, {"clock": "wall"}, "clock: found 'wall'"),
             ([tool], tool, {"missing": "zero"}, "missing: found 'zero'"),
             ([tool, tool.between(1.0)], tool, {}, "streams: found two streams"),

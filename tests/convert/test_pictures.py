@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.convert.pictures import (
     Coding,
     bayer_pattern,
@@ -100,7 +101,7 @@ def test_depth_in_metres_is_the_inverse_of_its_numbers(scale: float, shift: floa
 def test_other_pixels_are_no_depth(pixels: np.ndarray) -> None:
     with pytest.raises(ConversionError) as error:
         depths(pixels, Coding("png", "16UC1", 12))
-    assert f"found a PNG of {pixels.dtype} with {pixels.ndim} axes as depth" in str(error.value)
+    assert f"found a PNG of {pixels.dtype} with {counted(pixels.ndim, 'axis', 'axes')} as depth" in str(error.value)
 
 
 def test_the_bits_of_a_png() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from igtl_gateway.base.buffers import join
+from igtl_gateway.base.quantities import counted
 from igtl_gateway.convert.profiles import BY_NAME, profile_shown_by
 from igtl_gateway.wire import Item, Message, Raw
 from igtl_gateway.wire.image import LPS, RAS, Image
@@ -109,7 +110,7 @@ def test_what_the_cpp_reader_would_misread_is_left_out_and_said(kind: int, compo
     good = Attribute.of(SCALAR, "good", np.ones((3, 1)))
     adapted, warning = SLICER.adapt[PolyData](surface(bad, good))
     assert adapted.attributes == (good,)
-    assert f"'bad' (type {kind:#x}, {components} components)" in warning
+    assert f"'bad' (type {kind:#x}, {counted(components, 'component')})" in warning
 
 
 @pytest.mark.parametrize(

@@ -352,7 +352,7 @@ def test_the_report_names_versions_and_streams(tmp_path: Path, capsys: pytest.Ca
     star = str(FIXTURES / "star.mcap")
     assert main(["verify", star, "--config", str(config), "--all"]) == 1
     told = capsys.readouterr().out
-    assert f"verified by {__version__}" in told and "recorded by igtl-gateway 0.1.0" in told
+    assert f"verified by {__version__}" in told and f"recorded by igtl-gateway {__version__}" in told
     assert main(["verify", star, "--config", str(config), "--json"]) == 1
     facts = json.loads(capsys.readouterr().out)
     assert facts["differing"] == sum(facts["by_stream"].values())

@@ -227,7 +227,7 @@ def test_sessions_that_cannot_be_in_one_set(study: Path, tmp_path: Path, capsys:
     assert "expected it in one split" in text_of(one, two, more='[splits]\ntrain = ["P01_a"]\nval = ["P02"]')
     assert "no session or patient of this name" in text_of(one, two, more='[splits]\ntrain = ["*"]\nval = ["P9"]')
     patients = '[splits]\npatient = "{patient}_*"\ntrain = 0.5\nval = 0.5'
-    assert "found 1 sessions or patients for 2 splits" in text_of(one, two, more=patients)
+    assert "found 1 session or patient for 2 splits" in text_of(one, two, more=patients)
     other = write_session(tmp_path / "x.mcap", messages(30.0))
     assert "found the session 'x', expected a name like '{patient}_*'" in text_of(one, other, more=patients)
     assert main(["export", str(one), str(tmp_path / "no.mcap"), *words]) == 1

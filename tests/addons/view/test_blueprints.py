@@ -103,7 +103,7 @@ def test_every_blueprint_takes_every_session(
 
 
 def test_a_name_that_is_none() -> None:
-    with pytest.raises(ConfigError, match="found 'stars', expected star, ultrasound, navigation, generic"):
+    with pytest.raises(ConfigError, match="found 'stars', expected one of star, ultrasound, navigation, generic"):
         blueprints.blueprint("stars", SUTURING)
 
 

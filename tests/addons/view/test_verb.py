@@ -117,7 +117,7 @@ def test_a_recording_that_became_no_ros_messages_is_drawn_by_what_they_would_be(
         (["{folder}/taken", "-o", "{folder}/x.rrd"], 2, "-o: found two recordings, "),
         (["--port", "80"], 2, "--port: found no --web, expected it"),
         (["--web", "--port", "70000"], 2, "--port: found 70000, expected 0 to 65535"),
-        (["-o", "{folder}/x.rrd", "--blueprint", "stars"], 2, "--blueprint: found 'stars', expected star, "),
+        (["-o", "{folder}/x.rrd", "--blueprint", "stars"], 2, "--blueprint: found 'stars', expected one of star, "),
         (["-o", "{folder}/taken"], 2, "taken: exists already, expected a new file or --overwrite"),
         (["-o", "{folder}/none/x.rrd"], 1, "cannot write to {folder}/none/x.rrd: there is no folder {folder}/none"),
         ([], 1, "found no screen (neither DISPLAY nor WAYLAND_DISPLAY is set)"),

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from igtl_gateway.config.configuration import Config
-from igtl_gateway.convert.commands import reply_result
+from igtl_gateway.convert.commands import reply_result, with_failure_in_text
 from igtl_gateway.convert.igtl_msgs import Command as RosCommand
 from igtl_gateway.convert.igtl_msgs import CommandReply, MetadataItem
 from igtl_gateway.convert.rosmsg import Header
@@ -81,6 +81,15 @@ def test_a_peer_without_metadata_finds_the_failure_in_the_text(config: Config, r
     assert text == f'<CommandReply Name="Start" Status="FAIL" Message="{reason}" />'
     assert reply_result(text, ()) == (CommandReply.FAIL, reason, "")
     assert _refused(replace(config, fitting=1)) == "", "recordings from before verify"
+
+
+@pytest.mark.parametrize(
+    ("error_message", "content", "reason"),
+    [("no power", "", "no power"), ("", "late", "late"), ("no power", "<Sorry/>", "no power: <Sorry/>")],
+)
+def test_such_a_failure_keeps_what_the_node_has_answered(error_message: str, content: str, reason: str) -> None:
+    reply = CommandReply(Header(), "Robot", 7, "Start", CommandReply.FAIL, error_message, content=content)
+    assert reply_result(with_failure_in_text(reply).content, ()) == (CommandReply.FAIL, reason, "")
 
 
 @pytest.mark.parametrize(

@@ -123,7 +123,7 @@ def test_points_without_a_position_are_left_out(scene: Any, tmp_path: Path, suff
     path = slicer.write(node, "MarkupsFiducial" if suffix == ".fcsv" else "MarkupsJson", tmp_path / f"F{suffix}")
     with closing(open_source(path)) as source:
         (message,) = [decode(item.payload) for item in source.items() if item.kind is Kind.IGTL_IN]
-        assert [row.why for row in source.rows] == ["without 1 control points that have no position"]
+        assert [row.why for row in source.rows] == ["without 1 control point that has no position"]
     assert isinstance(message.content, Points)
     assert np.array_equal(message.content.elements["position"], np.array(POINTS[::2], np.float32))
 
