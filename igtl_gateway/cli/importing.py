@@ -58,7 +58,7 @@ def folder_hint(error: GatewayError, options: argparse.Namespace) -> str:
     for path in _paths(options):
         if not os.path.isdir(path) or path == getattr(options, "output", None):
             continue
-        # of the folder "." the names of files say nothing of it
+        # the names of files do not begin with that of the folder "."
         if not (verb in COHORT or str(error).startswith((f"{path}:", f"{path}/"))):
             continue
         number = _recordings_in(path)
