@@ -136,7 +136,8 @@ class _Facts:
         return found | {"times": [25.0 * at for at in range(30)], "values": values, "every": 9, "messages": 268}
 
     def curve(self, side: str, stream: str, field: str) -> dict[str, Any] | None:
-        return None
+        found = {"side": side, "stream": stream, "span_s": 60, "fields": ["x_mm", _LONG], "field": field or "x_mm"}
+        return found | {"times": [at - 30.0 for at in range(30)], "values": [at * 1.5 - 20 for at in range(30)]}
 
     def lines(self, job: int) -> list[str]:
         return [_ADVICE] * 3
@@ -183,26 +184,31 @@ def test_no_view_is_cut_at_any_width() -> None:
                 for number, view in enumerate(("now", "recording", "sessions", "replay"), start=1):
                     page.press(str(number))
                     page.wait(f"!document.querySelector('#{view}').hidden")
+                    if view == "now":
+                        if not page.run("Boolean(document.querySelector('#now .plot'))"):
+                            page.click("#now button", "Plot a number as it comes")
+                        page.wait("document.querySelector('#now .plot .curve').getAttribute('d').length > 100")
                     if view == "sessions":
                         page.wait("document.querySelectorAll('tr.pick').length === 3")
                         page.run("opened = 'a.mcap'; drawSessions()")
                     if view == "replay":
                         page.wait("document.querySelector('#replay .track .slow')")
-                        if not page.run("Boolean(document.querySelector('.plot'))"):
+                        if not page.run("Boolean(document.querySelector('#replay .plot'))"):
                             page.click("#replay button", "Plot a number over time")
-                        page.wait("document.querySelector('.plot .curve').getAttribute('d').length > 100")
+                        page.wait("document.querySelector('#replay .plot .curve').getAttribute('d').length > 100")
                     if _PICTURES:
                         page.picture(Path(_PICTURES) / f"{view}-{width}{'-dark' * dark}.png")
                     if found := page.run(_OVER):
                         over[f"{view} at {width} pixels"] = found
         assert over == {}
+        for view in ("now", "replay"):  # an address with the name of a view shows its top
+            page.run(f"show('{view}'); scrollTo(0, 0); location.hash = ''; location.hash = '{view}'")
+            assert page.run("document.documentElement.scrollHeight > innerHeight && scrollY === 0"), view
         # another number, by its name; the line is broken where one is missing
         choose = "(() => {{ const it = document.querySelector('[data-key=\"plot {}\"]'); it.value = '{}'; "
         page.run(choose.format("stream", "/joints") + "it.dispatchEvent(new Event('change')) })()")
-        page.wait(
-            "document.querySelector('.plot').getAttribute('aria-label').startsWith('position.elbow of /joints: -20')"
-        )
-        assert page.run("document.querySelector('.plot .curve').getAttribute('d').split('M').length") == 3
+        page.wait("document.querySelector('#replay .plot').ariaLabel.startsWith('position.elbow of /joints: -20')")
+        assert page.run("document.querySelector('#replay .plot .curve').getAttribute('d').split('M').length") == 3
         page.look((500, 1_000))
         page.press("1")
         tabs = "[...document.querySelectorAll('nav button')].every((each) => each.getBoundingClientRect().right <= 500)"
