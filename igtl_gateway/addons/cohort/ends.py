@@ -11,5 +11,7 @@ OK, NOTHING, BROKEN, UNSUPPORTED, GROWING = "ok", "nothing_to_do", "broken", "un
 TIMEOUT, MEMORY, KILLED, UNREACHABLE, FAILED = "timeout", "memory", "killed", "unreachable", "failed"
 #: The file has another mark and the same content.
 UNCHANGED = "unchanged"
+#: Verdict of `sync` about a stream that cannot be read.
+UNREADABLE = "unreadable"
 #: Ends that are facts about the file and not about the machine or the moment: a second run does not try again.
 FINAL = frozenset({OK, NOTHING, BROKEN, UNSUPPORTED})

@@ -19,7 +19,6 @@ from igtl_gateway.addon import (
     DamagedRecording,
     GatewayError,
     UnsupportedRecording,
-    WireError,
     streams_expected,
 )
 from igtl_gateway.addon.checking import (
@@ -39,7 +38,6 @@ from igtl_gateway.addon.checking import (
 )
 from igtl_gateway.addon.processes import part_of
 from igtl_gateway.addon.reading import Kind, SessionFile, layout, marks_of, named
-from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addon.untrusted import cpu_time, files, limits
 from igtl_gateway.addons.cohort.ends import (
     BROKEN,
@@ -51,6 +49,7 @@ from igtl_gateway.addons.cohort.ends import (
     OK,
     UNCHANGED,
     UNREACHABLE,
+    UNREADABLE,
     UNSUPPORTED,
 )
 from igtl_gateway.addons.cohort.objects import ObjectFile, Unreachable, is_url
@@ -356,7 +355,7 @@ def _end(name: str, end: EndReview) -> Row:
 def _sync(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
     from igtl_gateway.addon.reading import of_session
     from igtl_gateway.addons.sync.lag import measure_lag, measure_together
-    from igtl_gateway.addons.sync.lags import movement, movements
+    from igtl_gateway.addons.sync.lags import movement, movements, too_few
 
     recording = of_session(file)
     names: Sequence[str] = settings["streams"]
@@ -365,14 +364,12 @@ def _sync(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
     if absent:
         expected = f"by --stream or --pair {streams_expected(absent[:1], recording, file.path)}"
         raise ConfigError(f"{file.path}: found no stream {absent[0]!r}, {expected}")
-    signals = [movement(recording[name]) for name in names] if names else movements([recording], unreadable=WireError)
+    signals, unreadable = ([movement(recording[name]) for name in names], {}) if names else movements([recording])
     if len(signals) < 2:
-        raise GatewayError(
-            f"{file.path}: found {counted(len(signals), 'stream')} in which something could move, expected two"
-        )
+        raise too_few(signals, unreadable, file.path)
     fixed, *others = signals
     pairs = [(movement(recording[one]), movement(recording[other])) for one, other in further]
-    rows = []
+    rows: list[Row] = []
     for signal in others:
         lag = (
             measure_together([(fixed, signal), *pairs], max_lag_s=settings["max_lag_s"])
@@ -395,6 +392,9 @@ def _sync(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
                 "reason": lag.verdict.value,
             }
         )
+    for key, why in unreadable.items():
+        row: Row = {"fixed": fixed.name, "stream": key, "verdict": UNREADABLE, "has_lag": False}
+        rows.append(row | {"reason": why[:_LONGEST]})
     return {"lags": rows}
 
 

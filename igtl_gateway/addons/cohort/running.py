@@ -34,7 +34,8 @@ class RunSummary:
         before: of these, how many were done before and have not changed.
         ends: ``status`` → number of files of this run.
         reasons: ``status`` → the error of the first of these files.
-        different: files whose outputs differ (``verify``), or with a finding of severity error (``lint``).
+        different: files whose outputs differ (``verify``), with a finding of severity error (``lint``), or
+            an unreadable stream (``sync``).
         ends_before: ``status`` → number of files that had it before.
     """
 
@@ -161,8 +162,10 @@ def _add(rows: dict[str, list[Row]], work: RunSettings, file: Located, reply: Ma
 
 def _is_different(reply: Mapping[str, Any]) -> bool:
     rows = reply.get("rows", {})
-    return any(not row["good"] for row in rows.get("verifications", ())) or any(
-        row["severity"] == "error" for row in rows.get("findings", ())
+    return (
+        any(not row["good"] for row in rows.get("verifications", ()))
+        or any(row["severity"] == "error" for row in rows.get("findings", ()))
+        or any(row["verdict"] == ends.UNREADABLE for row in rows.get("lags", ()))
     )
 
 

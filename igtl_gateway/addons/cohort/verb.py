@@ -204,7 +204,8 @@ def _run_files(options: argparse.Namespace) -> int:
         if is_nowhere:
             print_line("  no file has what the options name")
         if summary.different:
-            print_line(f"  {summary.different:>7,} with {'differences' if work.verb == 'verify' else 'errors'}")
+            what = {"verify": "differences", "sync": "unreadable streams"}.get(work.verb, "errors")
+            print_line(f"  {summary.different:>7,} with {what}")
         print_next(
             (command("cohort", QUERY, _FIRST_QUESTION, "-o", options.output), "ask the tables"),
             (command("cohort", REPORT, "-o", options.output, "--html", "report.html"), "write a page about them"),

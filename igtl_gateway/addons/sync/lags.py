@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import NS_PER_S, ConfigError, GatewayError
+from igtl_gateway.addon import NS_PER_S, ConfigError, DamagedRecording, GatewayError
 from igtl_gateway.addon.messages import frames_of
 from igtl_gateway.addon.reading import Kind, RecordedMessage, Stream
 from igtl_gateway.addon.ros import Image as RosImage
@@ -34,7 +35,7 @@ _COMPONENTS = 3
 #: A rotation by 1 rad counts as much as a translation by this: about the length of a tool.
 _TOOL_M = 0.1
 #: Fields of messages that count or name something, and the most numbers of one message that are compared.
-_NOT_MOVING = frozenset({"header", "stamp", "unit", "id", "status", "layout"})
+_NOT_MOVING = frozenset({"header", "stamp", "unit", "id", "status", "layout", "encoding"})
 _MOST_NUMBERS = 64
 #: Numbers of joints, of which the first that a topic has moves; the longest time between two values of a joint.
 _OF_JOINTS = ("position", "velocity", "effort")
@@ -130,18 +131,17 @@ def movements(
     *,
     frame: str = "",
     line: bool = False,
-    unreadable: type[GatewayError] = ConfigError,
-) -> list[Signal]:
-    """Return what moves in each input stream that has something that could move.
+) -> tuple[list[Signal], dict[str, str]]:
+    """Return what moves in each input stream that has something that could move; unreadable streams → why.
 
     The first one is the reference of the others: of the streams that move and turn round, that with most samples.
 
-    A stream with an error of the kind ``unreadable`` is left out.  Of more than 100, those with too few samples are.
+    Of more than 100 streams, those with too few samples are left out.
 
     Raises:
         GatewayError: more than 100 are left.
     """
-    found = []
+    found, unreadable = [], {}
     inputs = [stream for each in recordings for stream in each.values() if Kind(stream.direction).is_input]
     if len(inputs) > _MOST_STREAMS:
         inputs = [stream for stream in inputs if stream.count >= LEAST_SAMPLES]
@@ -152,9 +152,20 @@ def movements(
     for stream in inputs:
         try:
             found.append(movement(stream, frame=frame, line=line))
-        except (ConfigError, unreadable):
+        except ConfigError:  # nothing that could move
             continue
-    return sorted(found, key=lambda signal: (not moves(signal), -len(signal.times_ns)))
+        except GatewayError as error:
+            unreadable[stream.key] = str(error).removeprefix(f"{stream.key}: ")
+    return sorted(found, key=lambda signal: (not moves(signal), -len(signal.times_ns))), unreadable
+
+
+def too_few(signals: Sequence[Signal], unreadable: Mapping[str, str], path: Path) -> GatewayError:
+    """Return the error for fewer than two signals of a file: DamagedRecording if a stream is unreadable."""
+    streams = counted(len(signals), "stream")
+    text = f"{path}: found {streams} in which something could move, expected two"
+    if not unreadable:
+        return GatewayError(text)
+    return DamagedRecording(f"{text}; unreadable: {'; '.join(f'{key} ({why})' for key, why in unreadable.items())}")
 
 
 def _of_poses(stream: Stream, frame: str) -> tuple[Array, Array, Array, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from io import StringIO
 from typing import TYPE_CHECKING, Any
 
@@ -32,8 +32,11 @@ def check_library() -> None:
         raise ViewerError(missing("matplotlib", error)) from None
 
 
-def lag_chart(fixed: Signal, lags: Sequence[tuple[Signal, Lag]]) -> str:
-    """Return an SVG with a row of charts for each stream.  Raises ViewerError if matplotlib is missing."""
+def lag_chart(fixed: Signal, lags: Sequence[tuple[Signal, Lag]], unreadable: Iterable[str] = ()) -> str:
+    """Return an SVG with a row of charts for each stream, and the names of those that are unreadable.
+
+    Raises ViewerError if matplotlib is missing.
+    """
     check_library()
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -47,6 +50,8 @@ def lag_chart(fixed: Signal, lags: Sequence[tuple[Signal, Lag]]) -> str:
             _draw_signals(axes["signals"], fixed, signal, lag)
             _draw_search(axes["search"], lag)
             _draw_windows(axes["windows"], lag)
+        if left := ", ".join(unreadable):
+            figure.supxlabel(f"unreadable: {left}", fontsize="small", wrap=True)
         out = StringIO()
         figure.savefig(out, format="svg", metadata={"Date": None})
         return out.getvalue()

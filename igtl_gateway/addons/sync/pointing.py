@@ -24,7 +24,7 @@ def late_streams(path: Path) -> list[tuple[str, str, float]]:
         with open_recording(path) as recording:
             begin = recording.between(0.0, _MOST_S) if recording.duration > _MOST_S else recording
             chosen = {key: stream for key, stream in begin.items() if stream.count <= _MOST_MESSAGES}
-            signals = movements([chosen], unreadable=GatewayError)[:_MOST_STREAMS]
+            signals = movements([chosen])[0][:_MOST_STREAMS]
     except (GatewayError, ConfigError):
         return []
     if len(signals) < 2:

@@ -21,7 +21,7 @@ from igtl_gateway.addons.sync.correcting import write_corrected
 from igtl_gateway.addons.sync.correction import is_corrected
 from igtl_gateway.addons.sync.curves import lag_text
 from igtl_gateway.addons.sync.lag import Lag, Pair, Verdict, measure_lag, measure_together
-from igtl_gateway.addons.sync.lags import POSES_BY_NAME, TRACKING, movement, movements, tools
+from igtl_gateway.addons.sync.lags import POSES_BY_NAME, TRACKING, movement, movements, too_few, tools
 from igtl_gateway.addons.sync.signal import Signal
 
 
@@ -31,28 +31,29 @@ def run(options: argparse.Namespace) -> int:
         opened = [
             stack.enter_context(open_recording(path)) for path in (options.file, options.other) if path is not None
         ]
-        signals = _signals(opened, options)
+        signals, unreadable = _signals(opened, options)
         pairs = _pairs(opened, options)
     if len(signals) < 2:
-        raise GatewayError(
-            f"{options.file}: found {counted(len(signals), 'stream')} in which something could move, expected two"
-        )
+        raise too_few(signals, unreadable, options.file)
     fixed, *others = signals
     lags = [(signal, _measure(fixed, signal, pairs, options)) for signal in others]
     if options.plot:
-        chart = plot.lag_chart(fixed, lags)
+        chart = plot.lag_chart(fixed, lags, unreadable)
         with written(options.plot, overwrite=options.overwrite) as path:
             write_text(path, chart)
     good = all(lag.verdict.has_lag for _, lag in lags)
     applied = _apply(options, fixed, pairs, *lags[0]) if options.apply and good else None
     if options.json:
         facts = {"file": str(options.file), "fixed": fixed.name, "lags": [lag_facts(*each) for each in lags]}
-        print_json(facts | ({"applied": applied.facts()} if applied else {}))
+        left = [{"stream": key, "reason": why} for key, why in unreadable.items()]
+        print_json(facts | ({"applied": applied.facts()} if applied else {}) | {"unreadable": left})
     else:
         _print(fixed, lags)
+        for key, why in unreadable.items():
+            print_line(f"unreadable: {key}: {why}")
         if options.apply:
             print_line(applied.text() if applied else f"{options.output}: not written: there is no lag to correct")
-    return 0 if good else 1
+    return 0 if good and not unreadable else 1
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -75,15 +76,15 @@ def _check(options: argparse.Namespace) -> None:
         plot.check_library()
 
 
-def _signals(opened: Sequence[Recording], options: argparse.Namespace) -> list[Signal]:
-    """Return the movements of the requested streams, or of all inputs that have one."""
+def _signals(opened: Sequence[Recording], options: argparse.Namespace) -> tuple[list[Signal], dict[str, str]]:
+    """Return the movements of the requested streams, or of all inputs that have one; unreadable ones of all → why."""
     chosen = [stream_named(opened, name) for name in options.streams] or [
         each[name] for each in opened for name in each
     ]
     if options.frame and not any(each.type in POSES_BY_NAME for each in chosen):
         raise ConfigError(f"--frame {options.frame}: found no stream with several poses: the option has no effect here")
     if options.streams:
-        return [_movement(stream_named(opened, name), options) for name in options.streams]
+        return [_movement(stream_named(opened, name), options) for name in options.streams], {}
     return movements(opened, frame=options.frame, line=options.line)
 
 
@@ -259,7 +260,7 @@ def _apply(
 
     def check(path: Path) -> None:
         with open_recording(path) as recording:
-            again, others = _signals([recording], options), _pairs([recording], options)
+            (again, _), others = _signals([recording], options), _pairs([recording], options)
         found.append(_measure(again[0], again[1], others, options))
         if not is_corrected(lag, found[0]):
             raise GatewayError(

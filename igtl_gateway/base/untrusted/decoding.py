@@ -6,10 +6,11 @@ generates one.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from typing import Any, ClassVar, cast
 
-from rosbags.interfaces import Msgdef
+from rosbags.interfaces import Msgdef, Nodetype
 from rosbags.serde import SerdeError, cdr, ros1
 from rosbags.typesys import Stores, TypesysError, get_typestore
 from rosbags.typesys.base import normalize_fieldname
@@ -21,6 +22,8 @@ from igtl_gateway.base.untrusted.definition_checks import Types, weight
 from igtl_gateway.base.untrusted.elements import ElementCounter
 
 _ZSTD = b"\x28\xb5\x2f\xfd"
+_ENCAPSULATION = 4
+_WIDE = frozenset({"int64", "uint64", "float64"})
 #: Bytes that are not of the type.
 BadBytes = SerdeError
 
@@ -45,10 +48,50 @@ def register_types(store: Typestore, types: Types) -> None:
 class _Store(Typestore):
     """A store that generates the functions of a type when they are called; that of rosbags generates all at once."""
 
+    def __init__(self) -> None:
+        super().__init__()
+        self._wide: dict[str, bool] = {}
+
     def get_msgdef(self, typename: str) -> Any:
         if typename not in self.cache:
             self.cache[typename] = cast("Msgdef[object]", _Code(self, typename))
         return self.cache[typename]
+
+    def deserialize_cdr(self, rawdata: bytes | memoryview, typename: str) -> object:
+        """Decode a message, also one with bytes behind it that it does not have.  Raises SerdeError.
+
+        Fast DDS counts the alignment of empty sequences of 64-bit numbers: up to four bytes for each, of any value.
+        """
+        try:
+            return super().deserialize_cdr(rawdata, typename)
+        except SerdeError as error:
+            if len(rawdata) <= _ENCAPSULATION or not self._has_wide_sequence(typename):
+                raise
+            code = self.get_msgdef(typename)
+            read = code.deserialize_cdr_le if rawdata[1] else code.deserialize_cdr_be
+            body = rawdata[_ENCAPSULATION:]
+            try:
+                message, end = read(body, 0, code.cls, self)
+            except (struct.error, UnicodeDecodeError, ValueError):
+                raise error from None
+            if len(body) - end > end:
+                raise
+            return cast("object", message)
+
+    def _has_wide_sequence(self, typename: str) -> bool:
+        """Whether a message can have a sequence of 64-bit numbers."""
+        if typename not in self._wide:
+            self._wide[typename] = any(
+                (kind in (Nodetype.SEQUENCE, Nodetype.ARRAY) and self._is_wide(inner[0], kind))
+                or (kind == Nodetype.NAME and self._has_wide_sequence(cast("str", inner)))
+                for _, (kind, inner) in self.fielddefs[typename][1]
+            )
+        return self._wide[typename]
+
+    def _is_wide(self, element: Any, kind: Nodetype) -> bool:
+        if element[0] == Nodetype.NAME:
+            return self._has_wide_sequence(element[1])
+        return kind == Nodetype.SEQUENCE and element[1][0] in _WIDE
 
 
 class _Code:

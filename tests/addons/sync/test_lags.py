@@ -74,7 +74,7 @@ def test_more_streams_than_can_be_measured(tmp_path: Path) -> None:
                 with pytest.raises(GatewayError, match=text):
                     movements([recording])
             else:
-                assert movements([recording]) == []
+                assert movements([recording]) == ([], {})
 
 
 def test_joints_of_two_arms_in_turn_and_in_any_order_are_one_movement(tmp_path: Path) -> None:

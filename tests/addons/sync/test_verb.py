@@ -17,7 +17,7 @@ from igtl_gateway.addons.cohort.jobs import VERBS
 from igtl_gateway.addons.sync.signal import Signal
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.clock import SystemClock
-from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError, DamagedRecording
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.cli import main
 from igtl_gateway.config.configuration import Config
@@ -252,6 +252,60 @@ def test_errors(recording: Path, words: list[str], text: str, capsys: pytest.Cap
     captured = capsys.readouterr()
     assert text in captured.err
     assert captured.out == ""
+
+
+def _joints(at_ns: int, value: float) -> bytes:
+    return JointState(Header(at_ns, ""), ("joint",), np.array([value]), np.array([]), np.array([])).pack()
+
+
+def _with_unreadable(path: Path, good: int) -> None:
+    """Write a recording with this number of good streams, one cut off in each message, and one without a definition."""
+    writer = SessionWriter(path, {"imported_format": "a test"})
+    for number in range(SECONDS * RATE):
+        at_ns = NS_PER_S + number * NS_PER_S // RATE
+        data = _joints(at_ns, height(number / RATE))
+        streams = {f"/arm{each}": (JointState.TYPE, data) for each in range(good)}
+        streams |= {"/cut": (JointState.TYPE, data[:-20]), "/unknown": ("lab_msgs/msg/Own", data)}
+        for place, (topic, (ros_type, sent)) in enumerate(streams.items()):
+            seq = 1 + number * len(streams) + place
+            writer.write(Entry(seq, at_ns, Kind.ROS_IN, topic, ros_type, (sent,), (), at_ns))
+    writer.close({})
+
+
+def test_unreadable_streams_are_left_out_and_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The other lags are measured, in the verb and in a cohort; the exit code is that of a damaged recording."""
+    path, chart = tmp_path / "session.mcap", tmp_path / "lag.svg"
+    _with_unreadable(path, 2)
+    assert main(["sync", str(path), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert [(each["stream"], each["verdict"]) for each in found["lags"]] == [("/arm1", "measured")]
+    assert [each["stream"] for each in found["unreadable"]] == ["/cut", "/unknown"]
+    assert all(each["reason"] for each in found["unreadable"])
+    assert main(["sync", str(path), "--plot", str(chart)]) == 1
+    shown = capsys.readouterr()
+    assert "unreadable: /cut: " in shown.out
+    assert shown.err == ""
+    assert "unreadable: /cut, /unknown" in chart.read_text()
+    with SessionFile.open(path) as file:
+        rows = VERBS["sync"].work(file, {"streams": [], "pairs": [], "max_lag_s": None})["lags"]
+    assert [(row["stream"], row["verdict"]) for row in rows] == [
+        ("/arm1", "measured"), ("/cut", "unreadable"), ("/unknown", "unreadable"),
+    ]  # fmt: skip
+    out = tmp_path / "tables"
+    assert main(["cohort", "sync", str(path), "-o", str(out)]) == 1
+    shown = capsys.readouterr()
+    assert "1 ok" in shown.out
+    assert "1 with unreadable streams" in shown.out
+
+
+def test_too_few_streams_because_others_are_unreadable(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "session.mcap"
+    _with_unreadable(path, 1)
+    assert main(["sync", str(path)]) == 1
+    text = " ".join(capsys.readouterr().err.split())
+    assert "found 1 stream in which something could move, expected two; unreadable: /cut (" in text
+    with SessionFile.open(path) as file, pytest.raises(DamagedRecording, match="unreadable: /cut"):
+        VERBS["sync"].work(file, {"streams": [], "pairs": [], "max_lag_s": None})
 
 
 def test_the_water_tank_of_plus(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -137,3 +137,22 @@ def test_the_limit_of_elements_can_be_set() -> None:
     data = HEAD + struct.pack("<I", 300_000) + bytes(300_000)
     with limits.limits_in_force(limits.parse_limits(["count=400000"])):
         assert len(decoder(MANY).decode("p/msg/A", data).e) == 300_000
+
+
+@pytest.mark.parametrize("inner", ["lab_msgs/In value", "lab_msgs/In[1] value"])
+def test_bytes_that_fast_dds_leaves_behind_empty_sequences_are_no_damage(inner: str) -> None:
+    """Two empty sequences of 64-bit numbers: as `rclpy.serialization` writes a parameter event."""
+    parts = "string name\n{}uint8 last\n", "\n" + 80 * "=" + "\nMSG: lab_msgs/In\n{}"
+    text = parts[0].format(inner + "\n") + parts[1].format("int64[] whole\nfloat64[] real\n")
+    body = struct.pack("<I4sIIB", 4, b"abc\0", 0, 0, 7)
+    decoder = MessageDecoder(lambda _: text)
+    for behind in (b"", bytes(3), bytes(8), b"\x80\x25\xf5\x2b\x64\x7f\0\0", bytes(len(body))):
+        message = decoder.decode("a/msg/B", b"\0\1\0\0" + body + behind)
+        assert (message.name, message.last) == ("abc", 7)
+    with pytest.raises(SerdeError, match="size mismatch"):
+        decoder.decode("a/msg/B", b"\0\1\0\0" + body + bytes(2 * len(body)))
+    without = MessageDecoder(lambda _: parts[0].format("") + "int32[] whole\nuint8[] real\n")
+    with pytest.raises(SerdeError, match="size mismatch"):
+        without.decode("a/msg/C", b"\0\1\0\0" + struct.pack("<I4sB3xII", 4, b"abc\0", 7, 0, 0) + bytes(8))
+    with pytest.raises(SerdeError):
+        decoder.decode("a/msg/B", b"\0\1\0\0\xff" + bytes(20))
