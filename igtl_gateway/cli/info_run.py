@@ -86,15 +86,18 @@ def _run(options: argparse.Namespace, recording: Recording) -> int:
         problems = bool(summary["problems"])
         print_damaged_indexes(options.file, summary["damaged_indexes"])
         if options.file != STANDARD_INPUT:  # no other verb reads it
+            sessions = [part["session"] for part in file.merge.facts["parts"]] if file.merge else [file.session]
             steps = info_steps(
                 str(options.file),
-                is_foreign=summary["foreign"],
+                is_foreign=summary["foreign"] and not file.merge,
                 is_bag=bool(recording.bag),
-                verifies=layout.IMPORTED_KEY not in file.session,
+                is_empty=not summary["entries"],
+                verifies=all(layout.IMPORTED_KEY not in each for each in sessions),
                 has_problems=problems,
                 types=types,
             )
-            print_next(*steps)
+            if steps:
+                print_next(*steps)
     # the retention deletes the first parts, and nothing deletes one between others
     has_gap = any(first for first, _ in summary.get("missing_parts", []))
     bad_marks = bool(summary["added_marks"] and summary["added_marks"]["problem"])

@@ -31,19 +31,29 @@ def print_next(*steps: tuple[str, str], title: str = "next") -> None:
 
 
 def info_steps(
-    file: str, *, is_foreign: bool, is_bag: bool, verifies: bool, has_problems: bool, types: Sequence[str]
+    file: str,
+    *,
+    is_foreign: bool,
+    is_bag: bool,
+    is_empty: bool,
+    verifies: bool,
+    has_problems: bool,
+    types: Sequence[str],
 ) -> list[tuple[str, str]]:
     """Return what follows ``info`` of a complete recording.
 
     Args:
         file: the recording.
-        is_foreign: whether another program wrote it.
+        is_foreign: whether another program wrote it; `merge` did not.
         is_bag: whether it is the folder of a bag, which only ``info`` and ``import`` read.
+        is_empty: whether it has no message that is read.
         verifies: whether ``verify`` takes it: not an import, which has no outputs.
         has_problems: whether notes report problems.
         types: OpenIGTLink types in it.
     """
     if is_foreign:
+        if is_empty:
+            return []  # an import would be empty, too
         steps = [(command("import", file, "-o", "session.mcap"), "make a session of it")]
         return steps if is_bag else [*steps, (command("view", file), "show it in rerun")]
     steps = [(command("verify", file), "compute all outputs again and compare them")] if verifies else []

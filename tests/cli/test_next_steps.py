@@ -7,6 +7,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from mcap.writer import Writer
 
 from igtl_gateway.addons.exchange.targets import TARGETS
 from igtl_gateway.cli import main
@@ -36,10 +37,13 @@ def test_steps_stand_in_two_columns(capsys: pytest.CaptureFixture[str]) -> None:
         ({"has_problems": True}, ["verify", "doctor", "view"]),
         ({"is_foreign": True}, ["import", "view"]),
         ({"is_foreign": True, "is_bag": True}, ["import"]),
+        ({"is_foreign": True, "is_empty": True}, []),
+        ({"is_empty": True}, ["verify", "view"]),
     ],
 )
 def test_what_follows_info(facts: dict[str, object], verbs: list[str]) -> None:
-    all_facts = {"is_foreign": False, "is_bag": False, "verifies": True, "has_problems": False, "types": [], **facts}
+    all_facts: dict[str, object] = dict.fromkeys(("is_foreign", "is_bag", "is_empty", "has_problems"), False)
+    all_facts |= {"verifies": True, "types": [], **facts}
     assert [shlex.split(step)[1] for step, _ in info_steps("x.mcap", **all_facts)] == verbs  # type: ignore[arg-type]
 
 
@@ -52,6 +56,38 @@ def test_what_verify_refuses_is_not_proposed(tmp_path: Path, capsys: pytest.Capt
     steps = capsys.readouterr().out.partition("\nnext\n")[2]
     assert " verify " not in steps and " replay " in steps
     assert main(["verify", str(imported)]) == 2, "it refuses an import"
+
+
+def test_nothing_is_proposed_for_a_file_of_which_nothing_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "json.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        channel = writer.register_channel("/a", "json", writer.register_schema("lab.A", "jsonschema", b"{}"))
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert main(["info", str(path)]) == 0
+    text = capsys.readouterr().out
+    assert "found encoding 'json', expected 'cdr'" in text and "next" not in text
+
+
+def test_a_merged_session_is_verified_if_no_part_is_an_import(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    imported = tmp_path / "imported.mcap"
+    tracked(tmp_path / "sweep.igs.mha")
+    assert main(["import", str(tmp_path / "sweep.igs.mha"), "-o", str(imported)]) == 0
+    for name, other, code in (("both", FIXTURES / "crtk.mcap", 0), ("mixed", imported, 2)):
+        merged = tmp_path / f"{name}.mcap"
+        words = ["merge", str(FIXTURES / "brain.mcap"), str(other), "-o", str(merged), "--offset", f"{other.stem}=0"]
+        assert main(words) == 0
+        capsys.readouterr()
+        assert main(["info", str(merged)]) == 0
+        steps = capsys.readouterr().out.partition("\nnext\n")[2]
+        assert (" verify " in steps, " import " in steps, " view " in steps) == (code == 0, False, True)
+        assert main(["verify", str(merged)]) == code
 
 
 @pytest.mark.slow

@@ -154,6 +154,8 @@ def _add(rows: dict[str, list[Row]], work: RunSettings, file: Located, reply: Ma
     name = {"task": digest(file.shown, work.verb, work.text, __version__, content or file.mark), "file": file.shown}
     names = ("status", "error", "requests", "bytes_read", "seconds")
     task = {each: reply.get(each) for each in names} | {"verb": work.verb, "bytes": file.size, "mark": file.mark}
+    for named in (file.name, file.shown):  # a column of its own has it
+        task["error"] = (task["error"] or "").removeprefix(f"{named}: ")
     task |= {"content": content, "settings": work.text, "version": __version__}
     rows.setdefault("tasks", []).append(name | task)
     for table, found in reply.get("rows", {}).items():

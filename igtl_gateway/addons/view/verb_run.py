@@ -230,7 +230,7 @@ def _draw(
         "drawn": facts.drawn,
         "topics": [
             {"topic": shown.topic, "type": shown.ros_type, "picture": shown.what.value, "messages": shown.count}
-            for shown in view.seen.shown.values()
+            for shown in sorted(view.seen.shown.values(), key=lambda each: (each.topic, each.ros_type))
         ],
         "without_picture": dict(sorted(facts.without_picture.items())),
         "refused": dict(sorted(facts.refused.items())),

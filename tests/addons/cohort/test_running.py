@@ -96,7 +96,7 @@ def test_a_cohort_is_tables_and_a_second_run_does_nothing(
     assert {row["entries"] for row in before["recordings"] if row["file"].endswith("/1.mcap")} == {121}
     [broken] = [row for row in before["tasks"] if row["status"] == "broken"]
     assert broken["file"].endswith("ä\nb/<b>cut'.mcap")
-    assert "was cut off" in broken["error"]
+    assert broken["error"].startswith("was cut off"), "the file is in another column"
 
     with monkeypatch.context() as patched:
         patched.setattr(running, "_here", None)  # it would fail

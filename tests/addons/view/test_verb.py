@@ -58,6 +58,8 @@ def test_a_suturing_session_is_saved_with_its_review(tmp_path: Path, capsys: pyt
     assert told["reviewed"]
     assert rows["/review/stitches"] == rows["/review/table"] > 0
     assert all(rows[topic["topic"]] == topic["messages"] for topic in told["topics"])
+    named = [(topic["topic"], topic["type"]) for topic in told["topics"]]
+    assert named == sorted(named)
     assert {topic["picture"] for topic in told["topics"]} >= {"cloud", "pose", "image", "lines", "text"}
     assert [*tmp_path.iterdir()] == [out]
 
