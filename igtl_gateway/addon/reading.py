@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 from igtl_gateway.addon.loading import Homes, at_first_use
 
 if TYPE_CHECKING:
+    from igtl_gateway.api.moments import Moment as Moment
+    from igtl_gateway.api.moments import to_ns as to_ns
     from igtl_gateway.api.recording import Recording as Recording
     from igtl_gateway.api.recording import of_session as of_session
     from igtl_gateway.api.recording import open as open_recording
@@ -90,6 +92,7 @@ HOMES: Homes = (
     # Recordings, for who does not need entries: those of the Python API
     ("api.recording", "Recording of_session open_recording=open session_of"),
     ("api.stream", "RecordedMessage Stream"),
+    ("api.moments", "Moment to_ns"),
     ("api.verbs", "AnyRecording"),
     # Sessions: entries as they are in the file
     ("record.sessionfile.reader", "SessionFile"),

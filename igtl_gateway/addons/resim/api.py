@@ -10,9 +10,10 @@ from pathlib import Path
 
 from igtl_gateway.addon import NS_PER_MS, NS_PER_S, ConfigError, one_of
 from igtl_gateway.addon.checking import Tolerance
-from igtl_gateway.addon.reading import SessionFile
+from igtl_gateway.addon.reading import Moment, SessionFile
 from igtl_gateway.addons.resim.engine import MOST_DELAY_S, Clocks, Program, ResimOptions, RunResult, run
 from igtl_gateway.addons.resim.judge import judge
+from igtl_gateway.addons.resim.part import windowed
 from igtl_gateway.addons.resim.recipe import command_of
 from igtl_gateway.addons.resim.report import report_lines
 from igtl_gateway.addons.resim.verdict import Difference, Verdict
@@ -70,6 +71,8 @@ class Resimulation:
 def resim(
     recording: Path | str,
     *programs: AnyProgram,
+    start: Moment | None = None,
+    end: Moment | None = None,
     runs: int = 3,
     baseline: Path | str | None = None,
     tolerance_mm: float = 0.0,
@@ -92,6 +95,9 @@ def resim(
     Args:
         recording: the recording, or an MCAP file of rosbag2.
         programs: commands: ``"python planner.py"``, a list of words, or a ``Program``.
+        start: run from this moment on, as of ``Recording.between``; None: from the beginning.  Programs begin without
+            what came before, so compare with a ``baseline`` of the same part.
+        end: run up to this moment; None: to the end.
         runs: how often to run.
         baseline: outputs of an earlier run, to compare with; None: the recording itself.
         tolerance_mm: what positions may differ from them.
@@ -141,6 +147,7 @@ def resim(
         cpu_s=cpu_limit_s,
     )
     path = Path(recording)
+    options = windowed(options, path, start, end)
     commands = [_program(each, cwd) for each in programs]
     if baseline:  # before the programs run
         SessionFile.open(Path(baseline)).close()

@@ -19,7 +19,16 @@ from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 
-from igtl_gateway.addon import ConfigError, SystemClock, did_you_mean, matches, near_names, unmatched, without_match
+from igtl_gateway.addon import (
+    ConfigError,
+    SystemClock,
+    did_you_mean,
+    matches,
+    near_names,
+    near_streams,
+    unmatched,
+    without_match,
+)
 from igtl_gateway.addon.processes import endings_held, make_ready
 from igtl_gateway.addon.reading import SessionFile
 from igtl_gateway.addon.terminal import counted
@@ -281,7 +290,7 @@ def run(
             if program.igtl
         }
     _check_links(programs, replaced)
-    _check_inputs(recording, replaced, options)
+    _check_topics(recording, replaced, options)
     result = RunResult(recording, links=frozenset(each.number for each in replaced.values()))
     if options.since_ns:
         with SessionFile.open(recording) as file:
@@ -318,14 +327,24 @@ def _check_links(programs: Sequence[Program], replaced: Mapping[int, RecordedLin
             )
 
 
-def _check_inputs(recording: Path, replaced: Mapping[int, RecordedLink], options: ResimOptions) -> None:
-    """Raise ConfigError if one of the inputs matches no recorded topic: nothing would drive it."""
-    if not options.inputs:
+def _check_topics(recording: Path, replaced: Mapping[int, RecordedLink], options: ResimOptions) -> None:
+    """Raise ConfigError if one of the inputs matches no recorded topic, or one of the outputs only nearly one.
+
+    Nothing would drive the input, and the option would have no effect on an output that only programs have.
+    """
+    if not options.inputs and not options.outputs:
         return
     with SessionFile.open(recording) as file:
         names = {*topics_of(file), *(name for each in replaced.values() for name in each.topics())}
     without = without_match(options.inputs, names)
-    if wrong := [f"--input {glob}: {unmatched(glob, names, 'recorded topic')}" for glob in without]:
+    wrong = [f"--input {glob}: {unmatched(glob, names, 'recorded topic')}" for glob in without]
+    names |= {*OF_EVERY_NODE, *(name.partition(IN_ACTION)[0] for name in names)}
+    wrong += [
+        f"--output {glob}: {unmatched(glob, names, 'topic of the recording')}"
+        for glob in without_match(options.outputs, names)
+        if near_streams(glob, names)
+    ]
+    if wrong:
         raise ConfigError("; ".join(wrong))
 
 

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import argparse
 import math
+import shlex
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 
 from igtl_gateway.addon import ConfigError, GatewayError, Unavailable
 from igtl_gateway.addon.checking import Tolerance
-from igtl_gateway.addon.reading import SessionFile, check_part, marked_moment, marks_of, since_text
+from igtl_gateway.addon.reading import SessionFile, since_text
 from igtl_gateway.addon.terminal import aligned, cell, command, count_text, counted, print_json, print_line, width
 from igtl_gateway.addon.untrusted import is_same
 from igtl_gateway.addon.writing import check_target, open_new, write_bytes, written
@@ -25,6 +25,7 @@ from igtl_gateway.addons.resim.engine import MOST_DELAY_S, Clocks, Program, Resi
 from igtl_gateway.addons.resim.engine import run as run_programs
 from igtl_gateway.addons.resim.igtl_peer import IgtlRole, check_role
 from igtl_gateway.addons.resim.judge import judge
+from igtl_gateway.addons.resim.part import windowed
 from igtl_gateway.addons.resim.recipe import read_recipe
 from igtl_gateway.addons.resim.report import junit_xml
 from igtl_gateway.addons.resim.verdict import StreamVerdict, Verdict, is_judged
@@ -97,7 +98,7 @@ def _run_one(
 ) -> tuple[RunResult, Verdict, list[Path]]:
     """Run the programs on a recording, and judge them; return the kept outputs of the first run, and of another one."""
     is_text = not options.json if is_text is None else is_text
-    settings = _windowed(options, recording, settings)
+    settings = windowed(settings, recording, options.start, options.end, prefix="--")
     done: list[Run] = []
 
     def take(one: Run) -> None:
@@ -134,21 +135,6 @@ def _run_one(
     return result, verdict, _kept(options, folder, verdict) if differs else []
 
 
-def _windowed(options: argparse.Namespace, recording: Path, settings: ResimOptions) -> ResimOptions:
-    """The settings with the part of a recording from --start to --end.  Raises ConfigError."""
-    if options.start is None and options.end is None:
-        return settings
-    with SessionFile.open(recording) as file:
-        marks = partial(marks_of, file)
-        since_ns, until_ns = (
-            None if text is None else marked_moment(text, file.start_ns, name, marks)
-            for name, text in (("--start", options.start), ("--end", options.end))
-        )
-        check_part(since_ns, until_ns, file.start_ns, file.end_ns, is_empty_part=True)
-    last_ns = settings.until_ns if until_ns is None else until_ns - 1
-    return replace(settings, since_ns=since_ns or 0, until_ns=last_ns)
-
-
 def _kept(options: argparse.Namespace, folder: Path, verdict: Verdict) -> list[Path]:
     """The outputs that differ, which stay: of the first run, and of that which differs from it."""
     numbers = [1, verdict.unequal_run] if verdict.unequal_run else [1]
@@ -158,17 +144,28 @@ def _kept(options: argparse.Namespace, folder: Path, verdict: Verdict) -> list[P
     return [Path(shutil.move(run_file(folder, number), place)) for number in numbers]
 
 
+def _print_places(kept: Sequence[Path], record: Path | None) -> None:
+    """Where outputs that differ stay, unless the user chose it."""
+    places = dict.fromkeys(each.parent for each in kept if each != record)
+    for place in places:
+        print_line(f"outputs that differ stay until you remove them: rm -r {shlex.quote(str(place))}")
+
+
 def _print_steps(options: argparse.Namespace, recording: Path, verdict: Verdict, kept: list[Path]) -> None:
     """What follows a difference: both sides in the viewer; of samples of a timer, a baseline."""
     steps = []
-    if verdict.is_sampled and not options.record:
+    # what programs know from before a part is in no baseline of the whole
+    is_part = options.start is not None and bool(kept) and not verdict.unequal_run and not options.baseline
+    if (verdict.is_sampled or is_part) and not options.record:
         words = [word for word in _words_of(options) if word]
-        good = recording.with_name(f"{recording.stem}-baseline.mcap").name
-        steps += [(command("resim", recording, "--record", good, *words), "keep a baseline, once")]
+        good = recording.with_name(f"{recording.stem}-{'part' if is_part else 'baseline'}.mcap").name
+        once = "keep a baseline of this part, once" if is_part else "keep a baseline, once"
+        steps += [(command("resim", recording, "--record", good, *words), once)]
         steps += [(command("resim", recording, "--baseline", good, *words), "compare later versions with it")]
     if kept:
         other = [] if verdict.unequal_run else [options.baseline or recording]
         steps.append((command("view", *other, *kept), "both in the viewer"))
+    _print_places(kept, options.record)
     if steps:
         print_line("next", *(line for step, what in steps for line in (f"  {what}:", f"    {step}")))
 
@@ -201,6 +198,7 @@ def _run_several(
             raise ConfigError(f"--{name}: found {counted(len(options.files), 'recording')}, expected one")
     facts: list[dict[str, object]] = []
     lines: list[str] = []
+    stay: list[Path] = []
     columns = max(len("recording"), width(str(path) for path in options.files))
     if not options.json:
         print_line(f"{cell('recording', columns)}  {_HEADS[0]:<18}{_HEADS[1]:>8} {_HEADS[2]:>8}")
@@ -222,6 +220,7 @@ def _run_several(
             if verdict.exit_code:
                 lines.append(f"{path}: {verdict.line()}")
             if kept:
+                stay += kept
                 other = [] if verdict.unequal_run else [options.baseline or path]
                 lines.append(f"  {command('view', *other, *kept)}")
         if not options.json:
@@ -230,7 +229,9 @@ def _run_several(
     if options.json:
         print_json({"recordings": facts})
     else:
-        print_line(*lines, f"{len(facts) - failed:,} of {count_text(len(facts), 'recording')} as expected")
+        print_line(*lines)
+        _print_places(stay, None)
+        print_line(f"{len(facts) - failed:,} of {count_text(len(facts), 'recording')} as expected")
     return int(bool(failed))
 
 
@@ -265,7 +266,7 @@ def _run_bisect(
         options.build,
         recording,
         programs,
-        _windowed(options, recording, settings),
+        windowed(settings, recording, options.start, options.end, prefix="--"),
         tolerance=tolerance,
         on_step=tell if not options.json else lambda step: None,
     )
@@ -368,7 +369,8 @@ def _print_verdict(result: RunResult, verdict: Verdict) -> None:
     for line in result.runs[0].remarks if result.runs else ():
         print_line(f"weaker: {line}")
     if result.window[0] and not verdict.fault and verdict.exit_code:
-        print_line(f"the programs begin at {since_text(result.zero_ns, result.window[0])}, without what came before")
+        begin = since_text(result.zero_ns, result.window[0])
+        print_line(f"the programs begin at {begin}, without what came before: compare with a baseline of the same part")
     for stream in verdict.between_runs or verdict.streams:
         if stream.first:
             print_line(f"  {stream.first.text(verdict.start_ns)}")

@@ -81,6 +81,12 @@ def _folder(tmp_path: Path) -> Path:
 class TestTheFixture:
     pytestmark = ros
 
+    def test_a_part_of_a_recording(self, tmp_path: Path) -> None:
+        path = sessions.write(tmp_path / "in.mcap", sessions.poses(600))
+        planner = [sys.executable, str(PROGRAMS / "planner.py"), "none"]
+        found = igtl_gateway.resim(path, planner, start=2.0, end="2.5", runs=1)
+        assert found.result.runs[0].delivered == {"/pose": 50}
+
     def test_in_a_project(self, tmp_path: Path) -> None:
         folder = _folder(tmp_path)
         (folder / "test_it.py").write_text(TESTS, "utf-8")
@@ -114,6 +120,21 @@ class TestTheFixture:
 def test_arguments_out_of_range(arguments: dict[str, Any], line: str) -> None:
     with pytest.raises(ConfigError, match=line):
         igtl_gateway.resim("none.mcap", "true", **arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ({"start": "soon"}, "^start: found 'soon', expected seconds from the beginning"),
+        ({"start": 7}, r"^start: found \+7.000 s, expected at most \+5.990 s"),
+        ({"start": 2, "end": "2"}, r"^end: found \+2.000 s, expected after \+2.000 s"),
+        ({"end": "mark:slip"}, "^end: found mark:slip, expected a recording with marks"),
+    ],
+)
+def test_a_part_that_is_not_in_the_recording(tmp_path: Path, arguments: dict[str, Any], line: str) -> None:
+    path = sessions.write(tmp_path / "in.mcap", sessions.poses(600))
+    with pytest.raises(ConfigError, match=line):
+        igtl_gateway.resim(path, "true", **arguments)
 
 
 def test_programs_that_are_none() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -68,7 +70,7 @@ def test_silence_in_json_and_in_python(tmp_path: Path, capsys: pytest.CaptureFix
 
 @pytest.mark.parametrize(
     ("options", "near"),
-    [(["--output", "/rosuot"], "/rosout"), (["--output", "/stat"], "/state"), (["--without", "/inn"], "/in")],
+    [(["--output", "/zzz"], ""), (["--without", "/inn"], "/in")],
 )
 def test_a_topic_with_a_mistake_cannot_be_judged(
     tmp_path: Path, options: list[str], near: str, capsys: pytest.CaptureFixture[str]
@@ -84,6 +86,20 @@ def test_a_topic_with_a_mistake_cannot_be_judged(
     assert not found.is_equal and options[1] in str(found)
     with pytest.raises(GatewayError, match=r"--input /inn: matches no recorded topic; did you mean '/in'\?"):
         resim(path, command, inputs="/inn")
+
+
+@pytest.mark.parametrize(("wrong", "near"), [("/rosuot", "/rosout"), ("/stat", "/state")])
+def test_an_output_that_is_nearly_a_recorded_topic_is_refused_before_the_programs_start(
+    tmp_path: Path, wrong: str, near: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, begun = recording(tmp_path / "in.mcap"), tmp_path / "begun"
+    command = [sys.executable, "-c", f"open({str(begun)!r}, 'w')"]
+    text = f"--output {wrong}: matches no topic of the recording; did you mean {near!r}?"
+    assert main(["resim", str(path), "--output", wrong, "--", *command]) == 2
+    assert text in " ".join(capsys.readouterr().err.split())
+    with pytest.raises(GatewayError, match=re.escape(text)):
+        resim(path, command, outputs=wrong)
+    assert not begun.exists()
 
 
 def test_a_topic_that_is_there_may_be_named_without_need(tmp_path: Path) -> None:

@@ -78,6 +78,8 @@ class TestWithRos:
         assert "SAMPLED BY A TIMER: /sample: the timer began at another moment in a.mcap" in printed
         steps = [shlex.split(line) for line in printed.splitlines() if line.startswith("    igtl-gateway ")]
         keep, again, view = steps
+        stay = next(line for line in printed.splitlines() if line.startswith("outputs that differ stay until"))
+        assert stay.endswith(f" rm -r {Path(view[3]).parent}")
         assert view[:3] == ["igtl-gateway", "view", str(live)] and Path(view[3]).is_file()
         assert cli.main([*keep[1:-4], "--runs", "1", *keep[-4:]]) == 1, "it differs from the recording as before"
         assert cli.main([*again[1:-4], "--runs", "1", *again[-4:]]) == 0, "and not from the baseline"
@@ -88,6 +90,14 @@ class TestWithRos:
         rows = [line.split() for line in capsys.readouterr().out.splitlines()[1:3]]
         assert [row[1:6] for row in rows] == [["sampled", "by", "a", "timer", "20"]] * 2
 
+    def test_a_part_proposes_a_baseline_of_the_part(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        live = str(sessions.live(tmp_path / "a.mcap", 40, SAMPLER[1:], 17))
+        words = ["resim", live, "--start", "0.1", "--end", "0.3", "--runs", "1", *SAMPLER]
+        assert cli.main(words) == 1
+        printed = capsys.readouterr().out
+        assert "without what came before: compare with a baseline of the same part" in printed
+        assert "--record a-part.mcap --start 0.1 --end 0.3 -- " in " ".join(printed.split())
+
     def test_what_a_timer_samples_explains_nothing_else(
         self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
@@ -95,7 +105,7 @@ class TestWithRos:
         assert cli.main(["resim", str(live), "--runs", "2", *SAMPLER, "higher"]) == 1
         printed = capsys.readouterr().out
         assert "DIFFERENT from a.mcap in 2 of 2 streams" in printed
-        assert "/plan, message 1 at 0.000000 s: transform.z is 0.1 and 0.2 (100 mm)" in printed.splitlines()[-4]
+        assert "/plan, message 1 at 0.000000 s: transform.z is 0.1 and 0.2 (100 mm)" in printed
 
 
 def test_a_table_of_several_recordings(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
