@@ -206,7 +206,11 @@ def test_a_folder_without_a_bridge(tmp_path: Path) -> None:
             page.open(spectators)
             page.wait("document.querySelector('#role').offsetParent")
             page.press("4")
-            page.wait("[...document.querySelectorAll('#replay .btn')].every((each) => each.disabled)")
+            page.wait("document.querySelector('#replay [data-key=plot]')")  # the buttons are there; a plot only reads
+            page.wait(
+                "[...document.querySelectorAll('#replay .btn')].every((each) => each.disabled === "
+                "(each.dataset.key !== 'plot'))"
+            )
     finally:
         served.send_signal(signal.SIGINT)
         assert served.wait(WAIT_S) == 0
