@@ -12,7 +12,7 @@ import os
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from hmac import compare_digest
 from pathlib import Path
@@ -55,6 +55,7 @@ _COLLECTED_NS = NS_PER_S
 _LOOKED_NS, _PICTURE_NS = 3 * NS_PER_S, NS_PER_S
 _MAX_PICTURES, _MAX_PICTURE = 16, 32 << 20
 _ROS = frozenset({Kind.ROS_IN, Kind.ROS_OUT})
+_IGTL = (Kind.IGTL_IN, Kind.IGTL_OUT)
 _END_S = 2.0
 
 
@@ -76,12 +77,17 @@ class RunningSession(Protocol):
 
 
 class Pictures:
-    """A sink that keeps the last picture of each stream, once a second while a browser shows them."""
+    """A sink that keeps the last picture of each stream, once a second while the page asks.
+
+    Pictures that pass natively are not seen here: the next one is asked for once a browser has the last one.
+    """
 
     def __init__(self) -> None:
         self._clock = SystemClock()
         self._until_ns = 0
         self._kept: dict[tuple[str, str], tuple[int, bytes]] = {}
+        self._fetched: dict[tuple[str, str], int] = {}  # the version that a browser has
+        self._large: set[tuple[str, str]] = set()  # streams without small pictures
         #: Topic → its type: the first message of each passes here.
         self.types: dict[str, str] = {}
         self.numbers = LiveNumbers(self.types)
@@ -98,10 +104,15 @@ class Pictures:
         if now_ns > self._until_ns:
             self._until_ns = 0
             self._kept.clear()
+            self._fetched.clear()
             return None
         key = entry.kind.value, entry.channel
         kept = self._kept.get(key)
-        if entry.size > _MAX_PICTURE or (kept is None and len(self._kept) >= _MAX_PICTURES):
+        if kept is None and len(self._kept) >= _MAX_PICTURES:
+            return None
+        if entry.size > _MAX_PICTURE:
+            if len(self._large) < _MAX_PICTURES:
+                self._large.add(key)
             return None
         if kept and now_ns - kept[0] < _PICTURE_NS:
             return None
@@ -112,9 +123,31 @@ class Pictures:
         self._until_ns = self._clock.monotonic_ns() + _LOOKED_NS
         return [(*key, version) for key, (version, _) in list(self._kept.items())]
 
+    def wanted(self, totals: Mapping[str, Iterable[str]]) -> list[tuple[Kind, str]]:
+        """Return the streams of pictures of which the next one is to be shown.
+
+        Args:
+            totals: side → its streams.
+        """
+        now_ns, is_full = self._clock.monotonic_ns(), len(self._kept) >= _MAX_PICTURES
+        found = []
+        for kind in _IGTL:
+            for stream in totals.get(kind.value, ()):
+                key = kind.value, stream
+                if not stream.startswith("IMAGE/") or key in self._large:
+                    continue
+                version = self._kept.get(key, (0, b""))[0]
+                is_old = self._fetched.get(key) == version and now_ns - version >= _PICTURE_NS
+                if is_old if version else not is_full:
+                    found.append((kind, stream))
+        return found[:_MAX_PICTURES]
+
     def get(self, side: str, stream: str) -> bytes:
-        """Return the message of the last picture; empty if there is none."""
-        return self._kept.get((side, stream), (0, b""))[1]
+        """Return the message of the last picture, for a browser; empty if there is none."""
+        version, data = self._kept.get((side, stream), (0, b""))
+        if version:
+            self._fetched[side, stream] = version
+        return data
 
     def _keep(self, key: tuple[str, str], now_ns: int, entry: Entry) -> None:
         self._kept[key] = now_ns, entry.data()
@@ -250,13 +283,18 @@ class BridgePage:
     def facts(self) -> dict[str, Any]:
         """Return what the page shows."""
         session = self._session
+        facts = self._facts_of(session) if session else None
+        pictures = self.pictures.names()
+        if session and facts:
+            for kind, stream in self.pictures.wanted(facts["totals"]):
+                session.bridge.show(kind, stream)
         return {
-            "facts": self._facts_of(session) if session else None,
+            "facts": facts,
             "recording": _recording(session.bridge) if session else None,
             "notes": list(self._notes),
             "done": list(self._done),
             "types": dict(self.pictures.types),
-            "pictures": self.pictures.names(),
+            "pictures": pictures,
         }
 
     def _facts_of(self, session: RunningSession) -> dict[str, Any]:

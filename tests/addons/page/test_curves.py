@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 
 import igtl_gateway
-from igtl_gateway.addon.igtl import Message, Transform, encode
-from igtl_gateway.addons.page import curves, live_numbers
+from igtl_gateway.addon.igtl import Image, Message, Transform, encode
+from igtl_gateway.addons.page import curves, live, live_numbers
 from igtl_gateway.addons.page.curves import Curves
 from igtl_gateway.addons.page.live import BridgePage
 from igtl_gateway.addons.page.live_numbers import LiveNumbers
@@ -162,6 +162,65 @@ def test_a_running_bridge_has_the_numbers_of_what_arrives(native: bool, tmp_path
         send(20)
         assert (send(200) < 20) is native, f"{looked} while a browser looked"
     assert igtl_gateway.verify(tmp_path / "a.mcap").good
+
+
+@pytest.mark.parametrize("native", [True, False])
+def test_the_pictures_of_a_running_bridge_follow_while_a_browser_takes_them(
+    native: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The next picture passes through Python once a browser has the last one; without a browser, all pass natively."""
+    monkeypatch.setattr(live, "_PICTURE_NS", 10**6)
+    seen: list[str] = []
+    with (
+        _session(tmp_path / "a.mcap", seen, native=native) as (bridge, page, source),
+        RawPeer(bridge.addresses[0][1]) as peer,
+    ):
+        if native and bridge.native_off:
+            pytest.skip(bridge.native_off)
+        count = 0
+
+        def received() -> int:
+            bridge.collect()
+            return int(bridge.gateway.ledger.totals().get("igtl_in", {}).get("IMAGE/Cam", 0))
+
+        def send(messages: int) -> int:
+            """Send pictures while the page asks for facts; return how many entries Python saw of them."""
+            nonlocal count
+            before = len(seen)
+            for _ in range(messages):
+                count += 1
+                image = Image((80, 60, 1), 3, bytes([count % 256]) * 4_800, 1)
+                peer.send(b"".join(encode(Message("IMAGE", "Cam", image, 0, 1, 0, ()))))
+                page.facts()
+            wait(lambda: received() >= count)
+            return len(seen) - before
+
+        def is_new(old: bytes) -> bool:
+            send(1)
+            return source.picture("igtl_in", "IMAGE/Cam") != old
+
+        wait(partial(is_new, b""))
+        send(100)
+        for _ in range(3):
+            old = source.picture("igtl_in", "IMAGE/Cam")
+            assert old[58 + 72 :] == bytes([old[-1]]) * 4_800
+            wait(partial(is_new, old))
+        send(5)
+        assert (send(100) < 20) is native  # no browser takes a picture
+    assert igtl_gateway.verify(tmp_path / "a.mcap").good
+
+
+def test_pictures_without_a_small_one_are_not_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "_MAX_PICTURE", 100)
+    pictures, totals = live.Pictures(), {"igtl_in": ["IMAGE/Large", "IMAGE/Small", "STRING/Log"], "igtl_out": []}
+    assert pictures.names() == []
+    assert pictures.wanted(totals) == [(Kind.IGTL_IN, "IMAGE/Large"), (Kind.IGTL_IN, "IMAGE/Small")]
+    assert pictures(Entry(1, 1, Kind.IGTL_IN, "IMAGE/Large", "IMAGE", (bytes(101),), (), 0)) is None
+    assert pictures.wanted(totals) == [(Kind.IGTL_IN, "IMAGE/Small")]
+    copy = pictures(Entry(2, 2, Kind.IGTL_IN, "IMAGE/Small", "IMAGE", (b"x",), (), 0))
+    assert copy
+    copy()
+    assert pictures.wanted(totals) == []  # nothing has taken it
 
 
 def test_a_text_has_no_numbers() -> None:

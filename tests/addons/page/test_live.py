@@ -86,7 +86,7 @@ def test_a_sample_is_made_for_a_reader_only_and_once_for_each_change(monkeypatch
 
     def sample(bridge: object) -> dict[str, Any]:
         made.append(bridge)
-        return {}
+        return {"totals": {}}
 
     monkeypatch.setattr(live, "sample_of", sample)
     monkeypatch.setattr(live, "Child", MagicMock())  # the reader is this test
@@ -115,7 +115,7 @@ def test_a_sample_is_made_for_a_reader_only_and_once_for_each_change(monkeypatch
 
 def test_a_sample_is_of_the_bridges_own_collection(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live, "Child", MagicMock())
-    monkeypatch.setattr(live, "sample_of", lambda _: {})
+    monkeypatch.setattr(live, "sample_of", lambda _: {"totals": {}})
     bridge = MagicMock()
     with page_of(bridge, []) as (page, _):
         first, again = page.facts()["facts"], page.facts()["facts"]
