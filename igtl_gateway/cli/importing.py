@@ -11,6 +11,7 @@ from pathlib import Path
 
 from igtl_gateway.base.addons import is_present, part_of
 from igtl_gateway.base.errors import GatewayError
+from igtl_gateway.base.quantities import count_text
 
 #: Words of the errors about files and directories that this program has not recorded.
 _NO_MCAP, _OTHERS, _FOLDER = "not an MCAP file", "of another program", "found a directory"
@@ -75,7 +76,7 @@ def _recordings_in(folder: Path) -> int:
 
 def _several(number: int, folder: Path, verb: str) -> str:
     """Return the words about a folder with several recordings, with the command that takes all of them."""
-    many = f"found a directory with {number:,} recordings, expected one of them"
+    many = f"found a directory with {count_text(number, 'recording')}, expected one of them"
     return f"{many}; {_of_all(verb, [str(folder)])}" if verb in COHORT and is_present("cohort") else many
 
 
