@@ -401,6 +401,28 @@ LONG = (
             "igtl_gateway.record.sessionfile.whole_files._move",
         )
     ),
+    "native/test_kernel.py::test_the_program_has_the_whole_kernel",
+    *(f"replay/test_recheck.py::test_{name}" for name in ("a_change_in_the_recording_is_found_with", "heads_that_are")),
+    "gateway/fastpath/test_passage_streams.py::test_sessions_of_the_fast_path_are",
+    *(f"replay/test_segments.py::test_{name}" for name in ("a_wrong_state_is_no_joint", "a_difference_that_a_wrong")),
+    *(f"replay/test_rows.py::test_{name}" for name in ("a_stream_that_is_later", "mutants_are")),
+    *(f"replay/test_slice_columns.py::test_{name}" for name in ("a_slice_of_a_changed", "entries_that_are_written")),
+    "addons/exchange/test_arrow_out.py::test_so_is_a_random",
+    "addons/exchange/test_chosen_rows.py::test_a_fixture",
+    "addons/exchange/test_mcap_out.py::test_exports_are_those",
+    *(
+        f"addons/test_absent.py::test_what_is_left_works_without_an_addon[{name}]"
+        for name in ("exchange", "view", "zenoh")
+    ),
+    "addons/page/test_recordings.py::test_a_recording_with_many_marks",
+    "cli/test_seal.py::test_a_kill_at_any_moment",
+    *(
+        f"edges/ros_interfaces/test_compiling.py::test_an_interrupt_leaves_nothing_and_the_next_start_compiles[{name}]"
+        for name in ("SIGHUP", "SIGTERM")
+    ),
+    "integration/test_interop.py::test_client_mode_outlives",
+    "integration/test_lifecycle.py::test_the_command_line_waits",
+    "record/sessionfile/test_recovery.py::test_more_mutants",
     "test_try_extras.py::test_the_oldest_and_the_newest_python",
     "test_try_install.py::test_an_upgrade",
     "test_try_install.py::test_each_installer",
