@@ -179,6 +179,7 @@ LONG = (
     *(f"addons/review/test_assess.py::test_the_{name}" for name in ("planted_", "distances_", "noise_")),
     "addons/cohort/test_segments.py::test_segments_have_the_result_of_the_file[Dask-",
     "addons/cohort/test_segments.py::test_segments_have_the_result_of_the_file[here-wrong",
+    "addons/cohort/test_exporting.py::test_workers_give_the_bytes_of_this_process",
     "addons/cohort/test_running.py::test_killed_programs",
     "addons/cohort/test_running.py::test_a_killed_file",
     "addons/cohort/test_running.py::test_a_file_that_takes_too_long",
