@@ -55,7 +55,7 @@ class ReplayAccount:
 
     Attributes:
         recorded: number of messages in the recording, including notes and links, and of those before it.
-        before: number of messages of the prologue that are to be sent; what is not latched of them is not sent.
+        before: number of messages of the prologue that a replay may send; it sends only the latched ones.
         passed_over: reason → number of messages, counted while the feed is read.
         made: number of messages that the gateway of this version computed, by kind.
         passes: how often the feed was opened; the account covers only the last pass.

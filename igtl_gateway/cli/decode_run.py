@@ -89,7 +89,7 @@ def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target:
     if framer.pending:
         found = (
             f"found {counted(framer.pending, 'byte')} of a message, expected a complete message: the stream ends "
-            f"inside it"
+            "inside it"
         )
         print_line(f"igtl-gateway decode: offset {offset}: {found}", error=True)
     return 1 if damaged or framer.pending else 0

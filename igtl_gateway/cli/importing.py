@@ -1,4 +1,4 @@
-"""The error of a verb that reads recordings, about what is no recording: what it is, and the command that takes it."""
+"""Errors about a path that is not a recording: they name what it is, and the command that takes it."""
 
 from __future__ import annotations
 

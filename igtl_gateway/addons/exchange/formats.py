@@ -103,8 +103,7 @@ FORMATS = (
 _NOT_IMPORTED = "which has no times and is not imported"
 _UNPACK = "which must be unpacked first"
 _TABLE = "which no verb imports, but pandas and DuckDB read"
-#: What is no recording, but found beside them: the beginning of a file, or else its suffix → its name for people, and
-#: what takes it.
+#: Files that often lie beside recordings: first bytes, suffix, what such a file is, and which program takes it.
 _OTHERS = (
     (b"# vtk DataFile Version", ".vtk", "a model of VTK", _NOT_IMPORTED),
     (b"<VTKFile", ".vtp", "a model of VTK", _NOT_IMPORTED),

@@ -74,7 +74,6 @@ class SetSoFar:
         splits: of each episode.
         data_files, video_files: number of the next file, of v3.0.
         episode_files: number of the next file of ``meta/episodes``, of v3.0.
-        kept: path → SHA-256 of the files that are listed already.
     """
 
     sessions: SessionList = field(default_factory=SessionList)
@@ -85,7 +84,6 @@ class SetSoFar:
     data_files: int = 0
     video_files: dict[str, int] = field(default_factory=dict)
     episode_files: int = 0
-    kept: dict[str, str] = field(default_factory=dict)
 
 
 def assemble(root: Path, recipe: Recipe, text: bytes, schema: Schema, so_far: SetSoFar, parts: Sequence[Part]) -> None:
@@ -103,7 +101,7 @@ def assemble(root: Path, recipe: Recipe, text: bytes, schema: Schema, so_far: Se
     """
     meta, version = root / "meta", recipe.format
     make_folder(meta, exist_ok=True)
-    new = _New(root, so_far.kept)
+    new = _New(root)
     rows: list[dict[str, Any]] = []
     for part in parts:
         own = json.loads((part.folder / EPISODES).read_text("utf-8"))
@@ -122,7 +120,7 @@ def assemble(root: Path, recipe: Recipe, text: bytes, schema: Schema, so_far: Se
         pictures = {name: each.stats() for name, each in so_far.sessions.pictures.items()}
         write_json(new.path("meta/stats.json"), pictures | number_totals(root, schema.features))
     sizes = {name: (0, 0) for name, each in schema.features.items() if each["dtype"] == "video"}
-    splits = dict(parts[0].session.splits) or ranges_of(so_far.splits)
+    splits = split_ranges(parts, so_far)
     info = info_of(
         version, Facts(recipe.fps, recipe.codec, sizes, schema.features, recipe.robot_type),
         episodes=so_far.episodes, frames=so_far.frames, tasks=len(so_far.tasks), splits=splits,
@@ -135,7 +133,12 @@ def assemble(root: Path, recipe: Recipe, text: bytes, schema: Schema, so_far: Se
         lines += ("\n" if lines else "") + (part.folder / SYNCHRONIZATION).read_text("utf-8")
     write_text(new.path(f"meta/{SYNCHRONIZATION}"), lines)
     _write_card(new, recipe, schema, so_far, parts, splits)
-    write_checksums(root, so_far.kept)
+    write_checksums(root)
+
+
+def split_ranges(parts: Sequence[Part], so_far: SetSoFar) -> dict[str, str]:
+    """Return the episodes of each split."""
+    return dict(parts[0].session.splits) or ranges_of(so_far.splits)
 
 
 def provenance_of(session: int) -> str:
@@ -146,13 +149,12 @@ def provenance_of(session: int) -> str:
 class _New:
     """Gives paths of files that are written again; what they were stays in other folders that have links to them."""
 
-    def __init__(self, root: Path, kept: dict[str, str]) -> None:
-        self.root, self._kept = root, kept
+    def __init__(self, root: Path) -> None:
+        self.root = root
 
     def path(self, name: str) -> Path:
         path = self.root / name
         path.unlink(missing_ok=True)
-        self._kept.pop(name, None)
         return path
 
 

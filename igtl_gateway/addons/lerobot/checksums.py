@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
-from types import MappingProxyType
 
 from igtl_gateway.addon import GatewayError, LimitExceeded
 from igtl_gateway.addon.untrusted import Deadline, check_limit, open_file, printable, read_bytes
@@ -22,23 +21,11 @@ _BYTES = 1 << 20
 _MOST = 5
 
 
-def write_checksums(root: Path, known: Mapping[str, str] = MappingProxyType({})) -> None:
-    """Write ``meta/SHA256SUMS``, for ``sha256sum -c meta/SHA256SUMS`` in the directory of the set.
-
-    Args:
-        root: the directory.
-        known: file → its SHA-256, of files that are not read again.
-    """
-    names = {path.relative_to(root).as_posix(): path for path in data_files(root)}
-    lines = (f"{known.get(name) or _digest(path)}  {name}\n" for name, path in names.items())
+def write_checksums(root: Path) -> None:
+    """Write ``meta/SHA256SUMS``, for ``sha256sum -c meta/SHA256SUMS`` in the directory of the set."""
+    lines = (f"{_digest(path)}  {path.relative_to(root).as_posix()}\n" for path in data_files(root))
     (root / "meta" / CHECKSUMS).unlink(missing_ok=True)
     write_text(root / "meta" / CHECKSUMS, "".join(lines))
-
-
-def read_checksums(root: Path) -> dict[str, str]:
-    """Return file → SHA-256 of the list of a set, as far as it is readable.  Raises GatewayError."""
-    text = read_bytes(root / "meta" / CHECKSUMS).decode("utf-8", "replace")
-    return {found[2]: found[1] for line in text.splitlines() if (found := _LINE.fullmatch(line))}
 
 
 def check_checksums(root: Path, deadline: Deadline) -> Iterator[str]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +17,13 @@ from igtl_gateway.addon import ConfigError, GatewayError
 from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addon.untrusted import check_limit, printable, read_bytes
 from igtl_gateway.addon.writing import make_folder, written_folder
-from igtl_gateway.addons.lerobot.assembling import Part, SetSoFar, assemble
+from igtl_gateway.addons.lerobot.assembling import Part, SetSoFar, assemble, split_ranges
 from igtl_gateway.addons.lerobot.frames import MAX_FRAMES, Place
 from igtl_gateway.addons.lerobot.parts import DESCRIBE, WRITE, Job, run_job
 from igtl_gateway.addons.lerobot.recipe import Recipe
 from igtl_gateway.addons.lerobot.recipe_file import read_recipe
 from igtl_gateway.addons.lerobot.schema import Described, Schema, differences, schema_of
-from igtl_gateway.addons.lerobot.splits import Group, assigned, group_of, has_ranges, ranges_of, unused_names
+from igtl_gateway.addons.lerobot.splits import Group, assigned, group_of, has_ranges, unused_names
 from igtl_gateway.addons.lerobot.writing import check_out
 
 #: Sessions that an error lists.
@@ -186,29 +186,25 @@ def groups_of(sessions: Sequence[Described], recipe: Recipe) -> dict[str, str]:
     return found
 
 
-def splits_of_groups(
-    sessions: Sequence[Described], groups: Mapping[str, str], recipe: Recipe, known: Mapping[str, Group] | None = None
-) -> dict[str, str]:
+def splits_of_groups(sessions: Sequence[Described], groups: Mapping[str, str], recipe: Recipe) -> dict[str, str]:
     """Return the path of each session → its split, "" for ranges of demonstrations.
 
     Args:
         sessions: in the order of time.
         groups: path → group.
         recipe: of the set.
-        known: the groups that the set has; None: it is new.
 
-    Raises ConfigError for a group in no split or in two, and for a new set with a name that no group has.
+    Raises ConfigError for a group in no split or in two, and for a name that no group has.
     """
     if has_ranges(recipe.splits):
         return {each.path: "" for each in sessions}
-    found = dict(known or {})
+    frames: dict[str, int] = {}
     for each in sessions:
         name = groups[each.path]
-        other = found.get(name, Group(name, 0))
-        found[name] = replace(other, frames=other.frames + (0 if other.split else each.frames))
-    splits = assigned(recipe.splits, list(found.values()))
-    if known is None and (unused := unused_names(recipe.splits, list(found))):
-        raise ConfigError(f"{unused[0]}: found no session or patient of this name, expected one of {_few(found)}")
+        frames[name] = frames.get(name, 0) + each.frames
+    splits = assigned(recipe.splits, [Group(*each) for each in frames.items()])
+    if unused := unused_names(recipe.splits, list(frames)):
+        raise ConfigError(f"{unused[0]}: found no session or patient of this name, expected one of {_few(frames)}")
     return {each.path: splits[groups[each.path]] for each in sessions}
 
 
@@ -253,8 +249,3 @@ def write_parts(
         Part(each, groups[each.path], splits[each.path], Path(job.part), reply)
         for each, job, reply in zip(sessions, jobs, replies, strict=True)
     ]
-
-
-def split_ranges(parts: Sequence[Part], so_far: SetSoFar) -> dict[str, str]:
-    """Return the episodes of each split."""
-    return dict(parts[0].session.splits) or ranges_of(so_far.splits)

@@ -71,7 +71,7 @@ class LiveNumbers:
         self._arms: dict[int, str] = {}  # link → unit of arms
 
     def __call__(self, entry: Entry) -> Callable[[], None] | None:
-        """Return the copy of a message, to be made without the lock; None for what is not kept."""
+        """Return a function that copies the message after the lock is free; None if the message is not kept."""
         if entry.kind is Kind.NOTE:
             self._take_unit(entry)
         if not self._looks or not (look := self._looks.get((entry.kind.value, entry.channel))):
