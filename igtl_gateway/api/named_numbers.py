@@ -76,7 +76,7 @@ def _listed(numbers: Sequence[float | None] | None) -> list[float]:
     return [np.nan if each is None else each for each in (() if numbers is None else numbers)]
 
 
-def completed(found: NamedNumbers, times: Array, rule: str, most_ns: int) -> Array:
+def completed(found: NamedNumbers, times: Array, rule: str, most_ns: int, most_step: float = np.inf) -> Array:
     """Return the values (N, K) with those that a message does not have taken from the others, NaN where none is near.
 
     Args:
@@ -84,6 +84,7 @@ def completed(found: NamedNumbers, times: Array, rule: str, most_ns: int) -> Arr
         times: (N,) int64, times of the messages, ns.
         rule: ``hold``: the last value before; ``nearest``; ``interpolate``: between the values before and after.
         most_ns: largest age, distance, or distance of two values.
+        most_step: between two values that differ by more there is no other one: ``interpolate`` takes the nearer one.
     """
     if found.known.all():
         return found.values
@@ -104,7 +105,9 @@ def completed(found: NamedNumbers, times: Array, rule: str, most_ns: int) -> Arr
         if rule == "interpolate":
             good = (after > 0) & (after < len(have)) & (back <= most_ns - np.minimum(ahead, most_ns))
             share = back / np.maximum(back + np.where(good, ahead, 1), 1)
-            filled = values[before] + np.where(good, share, 0) * (values[later] - values[before])
+            steps = values[later] - values[before]
+            share = np.where(np.abs(steps) > most_step, share > 0.5, share)
+            filled = values[before] + np.where(good, share, 0) * steps
         elif rule == "nearest":
             good = np.minimum(back, ahead) <= most_ns
             filled = np.where(back <= ahead, values[before], values[later])

@@ -169,6 +169,7 @@ def approach(recipe: Recipe, name: str) -> Iterator[str]:
     yield "* `nearest`: the message nearest in time, before or after the frame."
     yield "* `hold`: the last message not after the frame; nothing of the future is in it."
     yield "* `interpolate`: numbers and positions linearly, rotations by SLERP, between the messages before and after."
+    yield "* `none`: a string is in the frame nearest to it; the others have an empty one."
     yield ""
     yield "An episode ends where a stream has a gap above its tolerance, unless the recipe holds the last sample."
     yield ""
@@ -236,7 +237,7 @@ def _synchronization(plan: Plan, streams: list[Facts], name: str) -> Iterator[st
         f"The session has {count_text(plan.frame_count, 'frame')} in "
         f"{count_text(len(plan.episodes), 'episode')}. Distance is the median,"
     )
-    yield "over the frames, of the time between frame and sample (the one before, for interpolate). Cuts are times"
+    yield "over the frames, of the time between frame and sample (of two samples, the further one). Cuts are times"
     yield "without a value by the rule, between the first and the last sample; missing is their sum."
     yield ""
     yield f"* demonstrations: {len(set(plan.owners)):,} with frames, of {plan.demonstrations:,}"

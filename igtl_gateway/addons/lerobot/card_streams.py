@@ -29,8 +29,9 @@ class Facts:
         gaps: intervals above three median ones.
         cuts, missing_s: times without a value by the rule between the first and the last sample, and their sum.
         used: samples that are in a frame.
+        within: samples from the first to the last frame of an episode.
         interpolated, held: frames between two samples, and frames with a sample older than the tolerance.
-        median_ms, furthest_ms: distance in time of the samples before (or nearest to) the frames.
+        median_ms, furthest_ms: distance in time between the frames and their samples; of two samples the further one.
         lag: measured lag behind the first stream, or why there is none; ``""`` for the first one.
     """
 
@@ -43,6 +44,7 @@ class Facts:
     cuts: int
     missing_s: float
     used: int
+    within: int
     interpolated: int
     held: int
     median_ms: float
@@ -64,17 +66,21 @@ def _facts(plan: Plan, index: int, samples: Samples, lag: Lag | str) -> Facts:
     middle = float(np.median(steps)) if len(steps) else 0.0
     usual = steps[steps <= 3 * middle]
     used = np.zeros(len(samples.times), np.bool_)
-    offsets, interpolated, held = [np.zeros(0, np.int64)], 0, 0
+    offsets, within, interpolated, held = [np.zeros(0, np.int64)], 0, 0, 0
     for episode in plan.episodes:
         picks = episode.picks[index]
         if picks is None:
             continue
-        count = episode.count
-        used[picks.before] = True
-        used[picks.after] = True
-        interpolated += int(np.sum(picks.share[:count] > 0))
-        held += int(np.sum(picks.held[:count]))
-        offsets.append(np.abs(samples.times[picks.before[:count]] - episode.times))
+        if samples.row.rule == "none":  # the first one of a moment, and those up to the last one
+            used[np.concatenate([np.arange(*each) for each in zip(picks.before, picks.after + 1, strict=True)])] = True
+        else:
+            used[picks.before] = used[picks.after] = True
+        own, at = picks.part(0, episode.count), episode.times
+        interpolated += int(np.sum(own.share > 0))
+        held += int(np.sum(own.held))
+        within += int(np.searchsorted(samples.times, at[-1], "right") - np.searchsorted(samples.times, at[0]))
+        away = np.maximum(abs(samples.times[own.before] - at), abs(samples.times[own.after] - at))
+        offsets.append(away[~own.empty])
     away = np.concatenate(offsets) / NS_PER_MS
     covered = coverage(samples)
     missing = [start - end for (_, end), (start, _) in pairwise(covered)]
@@ -83,7 +89,8 @@ def _facts(plan: Plan, index: int, samples: Samples, lag: Lag | str) -> Facts:
         float(usual.std()) / NS_PER_MS if len(usual) else 0.0,
         float(steps.max()) / NS_PER_MS if len(steps) else 0.0, int(np.sum(steps > 3 * middle)),
         len(missing), sum(missing) / NS_PER_S,
-        int(used.sum()), interpolated, held, float(np.median(away)), float(away.max()), lag,
+        int(used.sum()), within, interpolated, held, float(np.median(away)) if len(away) else 0.0,
+        float(away.max(initial=0.0)), lag,
     )  # fmt: skip
 
 

@@ -1,16 +1,21 @@
-"""A starting recipe, made of the streams of a recording; it works as it is."""
+"""A starting recipe, made of the streams of a recording; it works as it is.
+
+Frames are as many as the slowest wanted stream has messages.  Wanted are the streams that the user names; without a
+name the state, the action and the pictures, unless they are so slow that the set would be useless: these are held.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from igtl_gateway.addon import NS_PER_MS, NS_PER_S, ConfigError, GatewayError
+from igtl_gateway.addon import NS_PER_MS, NS_PER_S, ConfigError, GatewayError, matches, unmatched, without_match
 from igtl_gateway.addon.reading import Recording, Stream
+from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addons.lerobot.pictures import Pictures, first_pixels, has_pictures
 from igtl_gateway.addons.lerobot.recipe import ACTION, IMAGES, STATE, Feature, Recipe
 from igtl_gateway.addons.lerobot.recipe_file import toml_value
@@ -22,7 +27,13 @@ _COMMANDS = re.compile(r"(^|[/_])(servo|move|setpoint|goal|cmd|command|target)(_
 _NUMBERS = {"sensor_msgs/msg/JointState": ("position",), "SENSOR": ("values",)}
 #: Part of the time of the other streams that a stream must have, to be part of the recipe.
 _LEAST_SHARE = 0.5
+#: The order of the rows: those that are neither state, action nor picture come last, and give no rate unless named.
+_OTHERS = 3
 _MOST_FPS, _USUAL_MS = 30, 100.0
+#: Messages per second from which on a stream without a name gives the rate.
+_LEAST_HZ = 5
+#: Intervals of a stream that its tolerance has, and those of a slow one, which is held.
+_INTERVALS, _SLOW_INTERVALS = 5, 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,28 +43,59 @@ class _Candidate:
     feature: Feature
     samples: Samples
 
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second, from the median interval; 0 for strings and for a single sample."""
+        times = self.samples.times
+        if self.samples.kind == "text" or len(times) < 2:
+            return 0.0
+        return NS_PER_S / float(np.median(np.diff(times)))
 
-def draft(recording: Recording) -> str:
-    """Return a recipe as TOML: poses and joints are the state, pictures are views, strings and other numbers follow.
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """A starting recipe.
+
+    Attributes:
+        text: of the TOML file.
+        fps: frames per second.
+        stream: the one that gave the rate.
+        reason: why.
+        costs: what the rate means for the messages of each other rate, a line each.
+    """
+
+    text: str
+    fps: int
+    stream: str
+    reason: str
+    costs: tuple[str, ...]
+
+
+def draft(recording: Recording, globs: Sequence[str] = ()) -> Draft:
+    """Return a recipe: poses and joints are the state, pictures are views, strings and other numbers follow.
 
     A stream with a command in its name is the action; otherwise the action is the next state.
 
+    Args:
+        recording: the session.
+        globs: the wanted streams: only they have rows, and the slowest of them gives the rate.
+
     Raises:
+        ConfigError: a glob matches no stream.
         GatewayError: no stream can be the state.
     """
-    streams = [each for each in recording.streams.values() if each.direction.endswith("_in")]
-    streams = streams or list(recording.streams.values())
+    streams = _wanted(recording, globs)
     good = [each for each in streams if len(each)]
     joined = JoinedStreams(good, "auto")
     chosen, left_out = list[_Candidate](), list[str]()
     covered: list[tuple[int, int]] = []
     taken: set[str] = set()
     # the state first: without it there is no data set
-    candidates = list(_candidates(recording, good, joined, left_out))
+    candidates = list(_candidates(recording, good, joined, left_out, is_named=bool(globs)))
     for candidate in sorted(candidates, key=lambda each: (_order(each), -_length(coverage(each.samples)))):
         has = coverage(candidate.samples)
         both = common(covered, has) if chosen else has
-        if not _frames(both, _fps([*chosen, candidate])):
+        if not _frames(both, _fps(_giver([*chosen, candidate], is_named=bool(globs)))):
             left_out.append(f"{candidate.feature.stream}: has no time in common with the others")
         elif chosen and _length(both) < _LEAST_SHARE * _length(covered):
             left_out.append(f"{candidate.feature.stream}: has messages in less than half of the time of the others")
@@ -68,12 +110,31 @@ def draft(recording: Recording) -> str:
             f"{recording.path}: found no stream of poses or joints with two or more messages, expected one as "
             "observation.state"
         )
-    return "\n".join(_lines(recording, chosen, left_out)) + "\n"
+    giver = _giver(chosen, is_named=bool(globs))
+    fps = _fps(giver)
+    facts = Draft(
+        "", fps, giver.feature.stream, _reason(giver, chosen, is_named=bool(globs)), tuple(_costs(chosen, fps))
+    )
+    return replace(facts, text="\n".join(_lines(facts, chosen, left_out)) + "\n")
+
+
+def _wanted(recording: Recording, globs: Sequence[str]) -> list[Stream]:
+    """The received streams, of which those that the globs name; all if there is none that was received."""
+    every = recording.streams
+    if without := without_match(globs, every):
+        raise ConfigError("; ".join(f"--streams {glob}: {unmatched(glob, every)}" for glob in without))
+    received = [each for each in every.values() if each.direction.endswith("_in")]
+    return [each for each in received or every.values() if not globs or _is_named(each.key, globs)]
+
+
+def _is_named(key: str, globs: Sequence[str]) -> bool:
+    device = "" if key.startswith("/") else key.partition("/")[2]
+    return any(matches(glob, name) for glob in globs for name in (key, device) if name)
 
 
 def _order(candidate: _Candidate) -> int:
     name = candidate.feature.name
-    return 0 if name == STATE else 1 if name == ACTION else 2 if candidate.feature.is_picture else 3
+    return 0 if name == STATE else 1 if name == ACTION else 2 if candidate.feature.is_picture else _OTHERS
 
 
 def _length(intervals: list[tuple[int, int]]) -> int:
@@ -86,7 +147,7 @@ def _frames(intervals: list[tuple[int, int]], fps: int) -> bool:
 
 
 def _candidates(
-    recording: Recording, streams: list[Stream], joined: JoinedStreams, left_out: list[str]
+    recording: Recording, streams: list[Stream], joined: JoinedStreams, left_out: list[str], *, is_named: bool
 ) -> Iterator[_Candidate]:
     for stream in streams:
         try:
@@ -94,7 +155,8 @@ def _candidates(
             feature = _feature(stream)
             if feature is None:
                 continue
-            usual = _with_tolerance(feature, read_samples(recording, feature, joined, stream.key), stream)
+            first = _Candidate(feature, read_samples(recording, feature, joined, stream.key))
+            usual = _sampled(first, is_named=is_named)
             yield _Candidate(usual, read_samples(recording, usual, joined, stream.key))
         except (GatewayError, UnicodeEncodeError) as error:
             text = str(error)
@@ -146,30 +208,78 @@ def _window(stream: Stream) -> tuple[float, ...]:
     return (low, high) if low < high else (low, low + 1)
 
 
-def _with_tolerance(feature: Feature, samples: Samples, stream: Stream) -> Feature:
-    """The row with a tolerance of five intervals, in steps of 10 ms; any for a single message."""
-    if feature.tolerance_ms is None:
-        return feature
-    if len(stream) < 2 or len(samples.times) < 2:
+def _sampled(candidate: _Candidate, *, is_named: bool) -> Feature:
+    """The row with rule and tolerance: five intervals, in steps of 10 ms; any for strings and for a single sample."""
+    feature, samples = candidate.feature, candidate.samples
+    if samples.kind == "text":
+        return replace(feature, rule="none", tolerance_ms=None)
+    if not candidate.rate_hz:
         return replace(feature, rule="hold", tolerance_ms=None)
-    period_ms = float(np.median(np.diff(samples.times))) / NS_PER_MS
-    return replace(feature, tolerance_ms=min(max(_USUAL_MS, 10.0 * np.ceil(period_ms / 2)), 3_600_000.0))
+    is_slow = not is_named and round(candidate.rate_hz) < _LEAST_HZ
+    if samples.kind == "pose" or feature.fields == ("position",):
+        rule = "interpolate"
+    else:
+        rule = "nearest" if samples.kind == "picture" and not is_slow else "hold"
+    intervals = _SLOW_INTERVALS if is_slow and rule == "hold" else _INTERVALS
+    wanted_ms = 10.0 * np.ceil(intervals * NS_PER_S / candidate.rate_hz / NS_PER_MS / 10)
+    return replace(feature, rule=rule, tolerance_ms=min(max(_USUAL_MS, wanted_ms), 3_600_000.0))
 
 
-def _fps(chosen: list[_Candidate]) -> int:
-    """The rate of the first camera, or of the state; at most 30."""
-    cameras = [each for each in chosen if each.feature.is_picture and len(each.samples.times) > 2]
-    times = (cameras or chosen)[0].samples.times
-    period_ns = float(np.median(np.diff(times))) if len(times) > 1 else NS_PER_S
-    return int(min(max(round(NS_PER_S / max(period_ns, 1.0)), 1), _MOST_FPS))
+def _giver(chosen: Sequence[_Candidate], *, is_named: bool) -> _Candidate:
+    """The slowest wanted row; the fastest one where all are slow, and the first one where none has a rate."""
+    rated = [each for each in chosen if each.rate_hz]
+    main = [each for each in rated if _order(each) < _OTHERS]
+    wanted = rated if is_named else [each for each in main if round(each.rate_hz) >= _LEAST_HZ]
+    if wanted:
+        return min(wanted, key=lambda each: each.rate_hz)
+    return max(main or rated or chosen, key=lambda each: each.rate_hz)
 
 
-def _lines(recording: Recording, chosen: list[_Candidate], left_out: list[str]) -> Iterator[str]:
+def _fps(giver: _Candidate) -> int:
+    return int(min(max(round(giver.rate_hz), 1), _MOST_FPS))
+
+
+def _reason(giver: _Candidate, chosen: Sequence[_Candidate], *, is_named: bool) -> str:
+    fastest = max(each.rate_hz for each in chosen)
+    if is_named:
+        why = "the slowest named stream"
+    elif round(giver.rate_hz) >= _LEAST_HZ:
+        why = f"the slowest state, action or picture of {_LEAST_HZ} Hz or more"
+    else:
+        why = f"the fastest: no state, action or picture has {_LEAST_HZ} Hz"
+    if giver.rate_hz > _MOST_FPS:
+        why += f"; at most {_MOST_FPS} here"
+    elif fastest > 2 * giver.rate_hz:
+        why += "; leave it out, or raise fps, for more"
+    return f"{giver.feature.stream} has {_hz(giver.rate_hz)}, {why}"
+
+
+def _costs(chosen: Sequence[_Candidate], fps: int) -> Iterator[str]:
+    """What the rate means for the streams that have another one."""
+    known = {each.feature.stream: each for each in reversed(chosen) if each.rate_hz}
+    for stream, each in sorted(known.items()):
+        if each.rate_hz >= 1.5 * fps:
+            frames = count_text(round(100 * fps / each.rate_hz), "frame")
+            yield f"{stream}: {_hz(each.rate_hz)}, {frames} for 100 messages"
+        elif each.rate_hz <= fps / 1.5:
+            most = "any age" if each.feature.tolerance_ms is None else f"up to {each.feature.tolerance_ms:,.0f} ms"
+            yield (
+                f"{stream}: {_hz(each.rate_hz)}, {count_text(round(fps / each.rate_hz), 'frame')} for a message: "
+                f'rule = "{each.feature.rule}", {most}'
+            )
+
+
+def _hz(rate_hz: float) -> str:
+    return f"{rate_hz:,.3g} Hz" if rate_hz < 100 else f"{rate_hz:,.0f} Hz"
+
+
+def _lines(facts: Draft, chosen: list[_Candidate], left_out: list[str]) -> Iterator[str]:
     names = [each.feature.name for each in chosen]
     default = Recipe(1, "x")
     yield "# A recipe for `igtl-gateway export --to lerobot`; docs/how-to/lerobot.md describes all keys."
     yield "[dataset]"
-    yield f"fps = {_fps(chosen)}"
+    yield from (f"# {_plain(each)}" for each in (facts.reason, *facts.costs))
+    yield f"fps = {facts.fps}"
     yield 'task = "not stated"  # what is done, in words: policies read it'
     yield f"robot_type = {toml_value(default.robot_type)}"
     yield f"format = {toml_value(default.format)}  # v2.1 for Open-H; v3.0 for lerobot 0.4 and later"
@@ -191,7 +301,11 @@ def _lines(recording: Recording, chosen: list[_Candidate], left_out: list[str]) 
     if left_out:
         yield ""
         yield "# Streams that are not used:"
-        yield from (f"#   {''.join(char if char.isprintable() else '?' for char in each)}" for each in left_out)
+        yield from (f"#   {_plain(each)}" for each in left_out)
+
+
+def _plain(text: str) -> str:
+    return "".join(char if char.isprintable() else "?" for char in text)
 
 
 def _row(feature: Feature) -> Iterator[str]:

@@ -159,16 +159,18 @@ class Plan:
         samples, picks = self.samples[index], episode.picks[index]
         if samples is None or picks is None:
             return {}
-        before, after = picks.before[: episode.count], picks.after[: episode.count]
-        return {
-            "entry": samples.entries[before],
-            "entry_after": samples.entries[after],
-            "stamp_ns": samples.stamps[before],
-            "stamp_after_ns": samples.stamps[after],
-            "offset_ns": samples.times[before] - episode.times,
-            "share": picks.share[: episode.count],
-            "held": picks.held[: episode.count],
+        own = picks.part(0, episode.count)
+        found = {
+            "entry": samples.entries[own.before],
+            "entry_after": samples.entries[own.after],
+            "stamp_ns": samples.stamps[own.before],
+            "stamp_after_ns": samples.stamps[own.after],
+            "offset_ns": samples.times[own.before] - episode.times,
+            "share": own.share,
+            "held": own.held,
         }
+        # a frame without a string by the rule ``none`` has no message
+        return {name: np.where(own.empty, np.zeros(1, each.dtype), each) for name, each in found.items()}
 
 
 def _short(row: Feature) -> str:
@@ -253,12 +255,13 @@ def _add(plan: Plan, span: Span, covered: list[tuple[int, int]]) -> None:
                 "see [episodes], or set split_long = true"
             )
         grid = moments(start_ns, count + extra, recipe.fps)
+        picks = [None if each is None else pick(each, grid, recipe.fps) for each in plan.samples]
         first = 0
         for length in parts_of(count, most):
             times = grid[first : first + length + extra]
-            picks = tuple(None if each is None else pick(each, times) for each in plan.samples)
+            part = tuple(None if each is None else each.part(first, first + length + extra) for each in picks)
             plan.episodes.append(
-                Episode(len(plan.episodes), plan.demonstrations, span.task, length, times[:length], picks)
+                Episode(len(plan.episodes), plan.demonstrations, span.task, length, times[:length], part)
             )
             first += length
 

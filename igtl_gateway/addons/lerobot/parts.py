@@ -125,6 +125,7 @@ def _stream(facts: Facts) -> dict[str, Any]:
     return {
         "feature": row.name, "stream": row.stream, "rule": row.rule, "messages": facts.samples.count,
         "unusable": facts.samples.unusable, "used": facts.used, "interpolated": facts.interpolated, "held": facts.held,
+        "within": facts.within, "rate_hz": facts.rate_hz, "furthest_ms": facts.furthest_ms,
     }  # fmt: skip
 
 

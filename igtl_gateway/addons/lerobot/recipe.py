@@ -9,7 +9,7 @@ FORMATS = ("v2.1", "v3.0")
 RATES = ("same", "any")
 CLOCKS = ("auto", "source", "gateway")
 CODECS = ("h264", "av1")
-RULES = ("nearest", "hold", "interpolate")
+RULES = ("nearest", "hold", "interpolate", "none")
 FILLS = ("cut", "hold")
 ORIENTATIONS = ("quaternion", "rotation_vector", "rotation_6d", "none")
 CUTS = ("whole", "ranges", "markers", "notes", "marks", "gap", "still")
@@ -31,6 +31,7 @@ class Feature:
         names: names of the numbers in info.json; empty: derived.
         orientation: how a pose has its rotation.
         rule: how the stream is sampled; empty: ``interpolate`` for poses, ``nearest`` for pictures, else ``hold``.
+            ``none`` is for strings: each is in the frame nearest to it, and in no other one.
         tolerance_ms: largest gap (interpolate), distance (nearest) or age (hold); None: any.
         fill: what happens beyond the tolerance: ``cut`` ends the episode, ``hold`` repeats the last sample.
         lag_ms: subtracted from the stamps.

@@ -23,7 +23,8 @@ class Picks:
     """The samples of a stream for N moments.
 
     Attributes:
-        before, after: (N,) indices of samples; they differ only for interpolation.
+        before, after: (N,) indices of samples; they differ only for interpolation, and for the rule ``none``: there,
+            those of the first and the last string of the moment, with ``after`` below ``before`` if it has none.
         share: (N,) float64, part of the way from ``before`` to ``after``.
         held: (N,) bool, whether the sample is older than the tolerance, by ``fill = "hold"``.
     """
@@ -32,6 +33,16 @@ class Picks:
     after: Times
     share: npt.NDArray[np.float64]
     held: npt.NDArray[np.bool_]
+
+    @property
+    def empty(self) -> npt.NDArray[np.bool_]:
+        """(N,) bool, whether a moment has no sample, by the rule ``none``."""
+        return self.after < self.before
+
+    def part(self, first: int, end: int) -> Picks:
+        """Return those of the moments from ``first`` up to ``end``, not included."""
+        chosen = slice(first, end)
+        return Picks(self.before[chosen], self.after[chosen], self.share[chosen], self.held[chosen])
 
 
 def moments(start_ns: int, count: int, fps: int) -> Times:
@@ -58,9 +69,11 @@ def coverage(samples: Samples) -> list[tuple[int, int]]:
     """Return the times (ns, both included) during which the rule gives a value.
 
     Between the samples of ``nearest`` and ``interpolate``, unless they are further apart than the rule allows; after a
-    sample of ``hold``, until it is too old.
+    sample of ``hold``, until it is too old; always for ``none``.
     """
     times, rule, most = samples.times, samples.row.rule, tolerance_ns(samples)
+    if rule == "none":
+        return [(-_NEVER, _NEVER)]
     if rule == "hold":
         # the last sample is valid for its tolerance; without one, as long as the other streams are
         return _runs(times, _NEVER if samples.row.fill == "hold" else most, most)
@@ -90,9 +103,11 @@ def common(one: list[tuple[int, int]], two: list[tuple[int, int]]) -> list[tuple
     return found
 
 
-def pick(samples: Samples, wanted: Times) -> Picks:
-    """Return the samples for moments inside of the coverage."""
+def pick(samples: Samples, wanted: Times, fps: int) -> Picks:
+    """Return the samples for the moments of an episode, inside of the coverage, which are 1 / fps apart."""
     rule, most = samples.row.rule, tolerance_ns(samples)
+    if rule == "none":
+        return _own(samples.times, wanted, fps)
     last = pick_rows(samples.times, wanted, "hold").before
     if rule == "hold":
         found = pick_rows(samples.times, wanted, "hold", most_ns=most)
@@ -105,3 +120,15 @@ def pick(samples: Samples, wanted: Times) -> Picks:
     share = np.where(good, found.share, 0.0)
     before = np.where(good, found.before, last)
     return Picks(before, np.where(share > 0, found.after, before), share, held)
+
+
+def _own(times: Times, wanted: Times, fps: int) -> Picks:
+    """The samples nearer to a moment than to any other one; the earlier moment of two has what is in the middle."""
+    half = NS_PER_S // (2 * fps)
+    between = wanted[:-1] + np.diff(wanted) // 2
+    edges = np.concatenate([[wanted[0] - half - 1], between, [wanted[-1] + half]])
+    ends = np.searchsorted(times, edges, side="right")
+    # without a sample in it, ``before`` still is an index
+    before = np.minimum(ends[:-1], len(times) - 1)
+    after = np.where(ends[1:] > ends[:-1], ends[1:], before) - 1
+    return Picks(before, after, np.zeros(len(wanted)), np.zeros(len(wanted), np.bool_))

@@ -25,7 +25,15 @@ Times = npt.NDArray[np.int64]
 
 #: Units of columns → the unit in the data set, and the factor.
 _UNITS = {"um": ("m", 1e-6), "mm": ("m", 1e-3), "cm": ("m", 1e-2), "dm": ("m", 1e-1), "deg": ("rad", np.pi / 180)}
+_JOINTS, _POSITION = "sensor_msgs/msg/JointState", "position"
 _TEXTS = {"STRING": "string", "std_msgs/msg/String": "data"}
+#: Kind → its name, and its rules, of which the first one is the usual one.
+_RULES = {
+    "pose": ("a pose", ("interpolate", "nearest", "hold")),
+    "picture": ("a picture", ("nearest", "hold")),
+    "numbers": ("numbers", ("hold", "nearest", "interpolate")),
+    "text": ("a string", ("hold", "nearest", "none")),
+}
 _AXES = ("x", "y", "z")
 _ORIENTATION_NAMES = {
     "quaternion": ("qx", "qy", "qz", "qw"),
@@ -48,7 +56,7 @@ class Samples:
         type: of the messages.
         kind: ``"pose"``, ``"numbers"``, ``"text"`` or ``"picture"``.
         times: (N,) int64, strictly increasing, ns on the clock of the data set, without the lag.
-        stamps: (N,) int64, the recorded times, ns.
+        stamps: (N,) int64, the stamps as recorded, ns; on the clock ``gateway`` times of receipt.
         entries: (N,) int64, entry numbers; 0 in files of other programs.
         values: (N, 4, 4) poses in m; (N, K) numbers; (N,) strings; (N,) indices of pictures.
         names: names of the numbers.
@@ -80,17 +88,30 @@ class Samples:
     correction: StampCorrection | None = None
     lag: Lag | None = None
 
+    @property
+    def are_angles(self) -> npt.NDArray[np.bool_]:
+        """(K,) bool, whether each number is the position of a joint, of which most are angles."""
+        last = (each.rpartition(".")[2] for each in self.recorded_names)
+        return np.array([self.type == _JOINTS and each.startswith(_POSITION) for each in last], np.bool_)
+
     def at(self, before: Array, after: Array, share: Array) -> Any:
         """Return values at ``share`` (N,) of the way from the samples ``before`` to ``after`` (indices, N).
 
-        Poses and numbers are (N, K) float64, with rotations as the row has them; strings and pictures those ``before``.
+        Poses and numbers are (N, K) float64, with rotations as the row has them; strings and pictures those ``before``,
+        and by the rule ``none`` the strings from ``before`` to ``after``, a line each.
         """
         if self.kind == "pose":
             found = between_poses(self.values[before], self.values[after], share)
             return np.concatenate([found[:, :3, 3], orientation(found, self.row.orientation)], axis=1)
         if self.kind == "numbers":
             one, two = self.values[before], self.values[after]
-            return np.where(share[:, None] == 0, one, one + share[:, None] * (two - one))
+            parts = np.broadcast_to(share[:, None], one.shape)
+            # between two angles that are more than half a turn apart, a number in the middle may be none of the joint
+            parts = np.where(self.are_angles & (np.abs(two - one) > np.pi), parts > 0.5, parts)
+            return np.where(parts == 0, one, np.where(parts == 1, two, one + parts * (two - one)))
+        if self.row.rule == "none":
+            lines = ("\n".join(self.values[one : two + 1]) for one, two in zip(before, after, strict=True))
+            return np.array(list(lines), object)
         return self.values[before]
 
 
@@ -179,14 +200,13 @@ def read_samples(
     try:
         kind, rows, values, recorded, pictures = _values(stream, row)
         units = _units(stream, row)
-        stamps = stamps_of(stream, row, joined)
+        stamps, recorded_at = stamps_of(stream, row, joined), _recorded_at(stream, row, joined)
     except ConfigError as error:
         raise ConfigError(f"{place}: {error}") from None
-    rule = row.rule or {"pose": "interpolate", "picture": "nearest"}.get(kind, "hold")
-    if rule == "interpolate" and kind in ("text", "picture"):
-        raise ConfigError(
-            f"{place}.rule: found interpolate for a {'string' if kind == 'text' else kind}, expected nearest or hold"
-        )
+    what, rules = _RULES[kind]
+    rule = row.rule or rules[0]
+    if rule not in rules:
+        raise ConfigError(f"{place}.rule: found {rule} for {what}, expected one of {', '.join(rules)}")
     if not len(rows):
         raise ConfigError(
             f"{place}: found no usable value in {count_text(len(stream), 'message')} of {row.stream}, expected one"
@@ -205,7 +225,7 @@ def read_samples(
     kept = order[last]
     chosen = [values[int(each)] for each in kept] if kind == "text" else values[kept]
     return Samples(
-        replace(row, rule=rule), stream.type, kind, times[last], stamps[rows][kept], stream.numbers[rows][kept],
+        replace(row, rule=rule), stream.type, kind, times[last], recorded_at[rows][kept], stream.numbers[rows][kept],
         np.array(chosen, object) if kind == "text" else chosen, names, recorded, units, len(stream),
         len(stream) - len(rows),
         len(rows) - len(kept), disordered, pictures, correction, lag,
@@ -214,13 +234,22 @@ def read_samples(
 
 def stamps_of(stream: Stream, row: Feature, joined: JoinedStreams) -> Times:
     """Return the times of messages (N,), ns; of a topic with poses of several frames, those in the header of one."""
+    return joined.times(stream, recorded_stamps(stream, row)) if row.frame else joined.times(stream)
+
+
+def recorded_stamps(stream: Stream, row: Feature) -> Times:
+    """Return the stamps in the messages (N,), ns; 0: none; in the header of one frame, if the row has one."""
     if not row.frame:
-        return joined.times(stream)
-    poses = stream.poses(row.frame)
-    stamps = stream.stamps.copy()
+        return stream.stamps
+    poses, stamps = stream.poses(row.frame), stream.stamps.copy()
     if np.all(poses.stamps > 0):
         stamps[poses.rows] = poses.stamps
-    return joined.times(stream, stamps)
+    return stamps
+
+
+def _recorded_at(stream: Stream, row: Feature, joined: JoinedStreams) -> Times:
+    """The stamps as recorded, without what ``joined`` has corrected; times of receipt on the clock of the gateway."""
+    return stream.times if joined.clock == "gateway" else recorded_stamps(stream, row)
 
 
 def _named(names: tuple[str, ...], row: Feature, place: str) -> tuple[str, ...]:
@@ -331,7 +360,7 @@ def _columns(stream: Stream, fields: Sequence[str], row: Feature) -> tuple[str, 
         values = table[name].to_pylist()
         shown = f"{name.removesuffix(f'_{unit}')}_{wanted}" if unit and name.endswith(f"_{unit}") else name
         size = next((len(each) for each in values if isinstance(each, list) and each), 0)
-        if size and (named := _by_name(table, values, stream, rows, row)):
+        if size and (named := _by_name(table, values, stream, rows, row, name)):
             blocks.append(named[1] * factor)
             names += [f"{joint}.{shown}" for joint in named[0]]
         elif any(isinstance(each, list) for each in values):
@@ -360,7 +389,7 @@ def _row(values: Any, size: int) -> list[float]:
 
 
 def _by_name(
-    table: Any, values: list[Any], stream: Stream, rows: Times, row: Feature
+    table: Any, values: list[Any], stream: Stream, rows: Times, row: Feature, column: str
 ) -> tuple[tuple[str, ...], Array] | None:
     """The names of the joints and their values (N, K), of messages with any of them in any order; None without names.
 
@@ -380,7 +409,8 @@ def _by_name(
     times = sources if np.all(sources > 0) else stream.times[rows]
     most_ns = (1 << 62) - 1 if row.tolerance_ms is None else round(row.tolerance_ms * 1e6)
     names = tuple(each if each.isprintable() else repr(each) for each in found.names)
-    return names, completed(found, times, row.rule or "hold", most_ns)
+    half_turn = np.pi if (stream.type, column) == (_JOINTS, _POSITION) else np.inf
+    return names, completed(found, times, row.rule or "hold", most_ns, half_turn)
 
 
 def signal_of(stream: Stream, at: Times, frame: str = "", pictures: Pictures | None = None) -> Signal:

@@ -6,6 +6,7 @@ import argparse
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.addon import ConfigError, GatewayError
@@ -24,6 +25,8 @@ _OPTIONS = {"recipe": "--recipe", "write_recipe": "--write-recipe", "check": "--
 #: Sessions that the output lists.
 _SESSIONS = 20
 _COUNTS = ("messages", "unusable", "used", "interpolated", "held")
+#: One in this many messages: a stream of which fewer are in frames is named.
+_SPARSE = 10
 
 
 def refuse_lerobot_options(options: argparse.Namespace) -> None:
@@ -41,8 +44,10 @@ def run_lerobot(options: argparse.Namespace) -> int:
                           f"{', '.join(_OPTIONS.values())}")  # fmt: skip
     if (options.output is not None) != (options.recipe is not None):
         raise ConfigError("-o: found it or --recipe alone, expected both")
-    if options.streams:
-        raise ConfigError(f"--streams: found it with --to {LEROBOT}, expected the streams in the recipe")
+    if options.streams and not options.write_recipe:
+        raise ConfigError(
+            f"--streams: found it with --to {LEROBOT}, expected the streams in the recipe, or --write-recipe"
+        )
     with extras.in_use(LEROBOT):
         if options.write_recipe:
             return _write_recipe(options)
@@ -58,13 +63,17 @@ def _write_recipe(options: argparse.Namespace) -> int:
         raise ConfigError(f"{options.write_recipe}: exists already, expected a new file")
     check_target(options.write_recipe, overwrite=False)
     with open_recording(options.files[0]) as recording:
-        text = draft(recording)
+        made = draft(recording, options.streams)
     with written(options.write_recipe) as path:
-        write_text(path, text)
+        write_text(path, made.text)
     if options.json:
-        print_json({"file": str(options.files[0]), "to": LEROBOT, "recipe": str(options.write_recipe)})
+        facts = {"fps": made.fps, "rate_of": made.stream, "reason": made.reason, "costs": list(made.costs)}
+        print_json({"file": str(options.files[0]), "to": LEROBOT, "recipe": str(options.write_recipe), **facts})
     else:
         print_line(f"{options.write_recipe}: a recipe to start with; edit task, and the names of the features")
+        print_line(printable(f"fps = {made.fps}: {made.reason}"))
+        for each in made.costs:
+            print_line(printable(f"  {each}"))
     return 0
 
 
@@ -131,10 +140,12 @@ def _print_one(options: argparse.Namespace, file: Path, done: Exported) -> None:
                 "notes": found["notes"], "demonstrations": found["demonstrations"], "empty": found["empty"],
                 "cuts": len(found["owners"]) - len(set(found["owners"])), "splits": done.splits,
                 "left_out": found["left_out"], "streams": found["streams"],
+                "sparse": _sparse(found["streams"], recipe.fps),
             }
         )  # fmt: skip
         return
     _print_streams(found["streams"])
+    _print_sparse(found["streams"], recipe.fps)
     for note in found["notes"]:
         print_line(f"note: {note}")
     _print_left_out(found["left_out"])
@@ -162,7 +173,7 @@ def _print_many(options: argparse.Namespace, done: Exported) -> None:
                 "files": [each.session.path for each in done.parts], "to": LEROBOT, "out": str(options.output),
                 "format": done.recipe.format, "clock": clock, "episodes": episodes, "frames": frames,
                 "written": done.files, "splits": done.splits, "left_out": dict(left_out), "sessions": rows,
-                "streams": streams,
+                "streams": streams, "sparse": _sparse(streams, done.recipe.fps),
             }
         )  # fmt: skip
         return
@@ -175,6 +186,7 @@ def _print_many(options: argparse.Namespace, done: Exported) -> None:
     if len(rows) > _SESSIONS:
         print_line(f"  {len(rows) - _SESSIONS:,} more sessions: {options.output}/meta/sessions.json")
     _print_streams(streams)
+    _print_sparse(streams, done.recipe.fps)
     notes = sum(bool(row["notes"]) for row in rows)
     if notes:
         print_line(f"note: the clock of {count_text(notes, 'session')} was corrected: meta/SYNCHRONIZATION.md")
@@ -208,13 +220,40 @@ def _session(numbered: tuple[int, Part]) -> dict[str, Any]:
 def _summed(parts: Sequence[Part]) -> list[dict[str, Any]]:
     """The rows of the streams, with the sums of all sessions."""
     every = zip(*(each.written["streams"] for each in parts), strict=True)
-    return [{**rows[0], **{name: sum(row[name] for row in rows) for name in _COUNTS}} for rows in every]
+    return [
+        {
+            **rows[0],
+            **{name: sum(row[name] for row in rows) for name in (*_COUNTS, "within")},
+            "furthest_ms": max(row["furthest_ms"] for row in rows),
+            "rate_hz": median([row["rate_hz"] for row in rows]),
+        }
+        for rows in every
+    ]
 
 
 def _print_streams(facts: Sequence[Mapping[str, Any]]) -> None:
     names = ("feature", "stream", "rule", *_COUNTS)
-    rows = [names, *(tuple(_cell(each[name]) for name in names) for each in facts)]
-    print_line(*aligned(rows, left=3))
+    rows = [(*(_cell(each[name]) for name in names), f"{each['furthest_ms']:,.1f} ms") for each in facts]
+    print_line(*aligned([(*names, "furthest"), *rows], left=3))
+
+
+def _sparse(facts: Sequence[Mapping[str, Any]], fps: int) -> list[dict[str, Any]]:
+    """The streams of which the frames have few messages, because others have fewer."""
+    return [
+        {**{name: each[name] for name in ("stream", "rate_hz", "used", "within")}, "fps": fps}
+        for each in facts
+        if each["rate_hz"] > fps and each["used"] * _SPARSE < each["within"]
+    ]
+
+
+def _print_sparse(facts: Sequence[Mapping[str, Any]], fps: int) -> None:
+    for each in _sparse(facts, fps):
+        print_line(
+            printable(
+                f"note: {each['stream']} has {each['rate_hz']:,.4g} Hz, the frames {fps}: {each['used']:,} of "
+                f"{count_text(each['within'], 'message')} are in a frame; a larger fps takes more"
+            )
+        )
 
 
 def _print_left_out(left_out: Mapping[str, int]) -> None:

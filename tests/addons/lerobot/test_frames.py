@@ -259,7 +259,7 @@ def test_any_name_of_a_stream(tmp_path: Path) -> None:
     messages = [(number / 50, name, arm(number / 50, 0)) for number in range(50) for name in names]
     path, recipe = write_session(tmp_path / "s.mcap", messages), tmp_path / "r.toml"
     with igtl_gateway.open(path) as recording:
-        recipe.write_text(draft(recording), "utf-8")
+        recipe.write_text(draft(recording).text, "utf-8")
         assert {row.stream for row in read_recipe(recipe).features} >= set(recording.streams) & set(names)
     export_lerobot(path, recipe, tmp_path / "set")
     card = (tmp_path / "set" / "meta" / "README.md").read_text("utf-8")
@@ -283,7 +283,7 @@ def test_poses_beyond_float32_are_unusable(tmp_path: Path) -> None:
     ]
     path = write_session(tmp_path / "s.mcap", messages)
     with igtl_gateway.open(path) as recording:
-        text = draft(recording)
+        text = draft(recording).text
         (tmp_path / "r.toml").write_text(text, "utf-8")
         samples = build(recording, read_recipe(tmp_path / "r.toml")).samples[0]
     assert samples is not None and (samples.count, samples.unusable) == (30, 1)
@@ -306,7 +306,7 @@ def test_a_stream_of_thousands_of_numbers_is_left_out(tmp_path: Path) -> None:
     ]  # fmt: skip
     path = write_session(tmp_path / "s.mcap", sorted(messages, key=lambda each: each[0]))
     with igtl_gateway.open(path) as recording:
-        text = draft(recording)
+        text = draft(recording).text
     assert "found 5,000 numbers in position, expected at most 4,096" in text and f'stream = "{ARM}"' in text
 
 
@@ -353,10 +353,12 @@ def test_a_joint_that_is_no_longer_published_has_no_value(tmp_path: Path) -> Non
     ]
     path = write_session(tmp_path / "s.mcap", messages)
     with igtl_gateway.open(path) as recording:
-        (tmp_path / "r.toml").write_text(draft(recording))
-        samples = build(recording, read_recipe(tmp_path / "r.toml")).samples[0]
-    assert samples is not None and samples.names == ("a1.position", "b2.position")
-    assert 110 <= len(samples.times) <= 111 and samples.unusable == 200 - len(samples.times), "100 ms longer at most"
+        text = draft(recording).text
+        for rule, most in (("interpolate", 100), ("hold", 111)):  # hold: 100 ms longer at most
+            (tmp_path / "r.toml").write_text(text.replace('rule = "interpolate"', f'rule = "{rule}"'), "utf-8")
+            samples = build(recording, read_recipe(tmp_path / "r.toml")).samples[0]
+            assert samples is not None and samples.names == ("a1.position", "b2.position")
+            assert most - 1 <= len(samples.times) <= most and samples.unusable == 200 - len(samples.times), rule
 
 
 @pytest.mark.parametrize("ahead_s", [3.0, -3.0])
