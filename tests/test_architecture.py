@@ -78,7 +78,7 @@ DOOR = "addon"
 #: Add-on → modules of other add-ons that it uses where they are installed; below ``addons``.
 NEIGHBOURS = {
     "cohort": ("review", "review.choices", "review.recorded", "sync.lag", "sync.lags"),
-    "lerobot": ("sync.lag", "sync.lags", "sync.signal"),
+    "lerobot": ("exchange.source", "sync.lag", "sync.lags", "sync.signal"),
     "merge": ("sync.lag", "sync.lags", "sync.verb_run"),
     "view": ("review", "sync.curves", "sync.lag", "sync.lags", "sync.signal", "sync.verb_run"),
 }

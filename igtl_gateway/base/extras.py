@@ -22,7 +22,7 @@ PURPOSES = {
     "pcap": "`import` of pcapng, Wireshark's default",
     "arrow": "`export --to parquet`, `export --to arrow`, tables in Python",
     "pandas": "data frames in Python",
-    "lerobot": "`export --to lerobot`",
+    "lerobot": "`export --to lerobot`, `import` of its data sets",
     "cohort": "`cohort`",
     "seal": "`seal`, `seal keys`, `verify --seal`, `bridge --seal`",
     "lab": "`simulate`, `bench`, `demo`",

@@ -7,9 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from igtl_gateway.addon import GatewayError, NoSuchRecording, UnsupportedRecording
+from igtl_gateway.addon import ConfigError, GatewayError, NoSuchRecording, UnsupportedRecording
+from igtl_gateway.addon.processes import extras, part_of
 from igtl_gateway.addon.untrusted import files
 from igtl_gateway.addons.exchange.capture import Capture, looks_like_igtl
+from igtl_gateway.addons.exchange.export_verb_options import LEROBOT
 from igtl_gateway.addons.exchange.itk_transform import looks_like_transform
 from igtl_gateway.addons.exchange.markups import looks_like_markups
 from igtl_gateway.addons.exchange.nifti import looks_like_nifti, read_nifti
@@ -19,7 +21,7 @@ from igtl_gateway.addons.exchange.rosbag1 import Rosbag1
 from igtl_gateway.addons.exchange.rosbag2 import Rosbag2
 from igtl_gateway.addons.exchange.rosbag2_metadata import METADATA
 from igtl_gateway.addons.exchange.scene_in import SceneSource, looks_like_scene
-from igtl_gateway.addons.exchange.sequence import Sequence
+from igtl_gateway.addons.exchange.sequence import DEFAULT_EPOCH_NS, Sequence
 from igtl_gateway.addons.exchange.slicer_file import open_markups, open_transform
 from igtl_gateway.addons.exchange.source import Source, library_errors_as_damage
 
@@ -27,6 +29,8 @@ from igtl_gateway.addons.exchange.source import Source, library_errors_as_damage
 START = 512
 #: The number of a part in the name of a file of a bag, and what follows.
 _PART = re.compile(r"_[0-9]+\.(db3|mcap).*$")
+#: The file that shows a LeRobot data set.
+_SET = Path("meta/info.json")
 #: The format of raw messages.
 IGTL = "igtl"
 _META_KEYS = (
@@ -144,17 +148,31 @@ def format_of(start: bytes) -> ImportFormat | None:
     return next((kind for kind in FORMATS if kind.recognise(start)), None)
 
 
-def open_source(path: Path, epoch_ns: int | None = None) -> Source:
-    """Open a file, or the directory of a rosbag2 recording, in any format of the table.
+def open_source(path: Path, epoch_ns: int | None = None, episodes: str = "") -> Source:
+    """Open a file in any format of the table, the directory of a rosbag2 recording, or a LeRobot data set.
 
-    Raises UnsupportedRecording (no such file, unknown or unsupported format) or DamagedRecording.
+    Args:
+        path: of it.
+        epoch_ns: see ``ImportFormat.open``.
+        episodes: of a data set, a number or a half-open range; "" for all.
+
+    Raises UnsupportedRecording (no such file, unknown or unsupported format) or DamagedRecording; ConfigError.
     """
     if not path.exists():
         raise NoSuchRecording(f"{path}: no such file{files.near_file(path)}")
+    if episodes and not is_set(path):
+        raise ConfigError("--episodes: found it with another source, expected a LeRobot data set")
     if path.is_dir():
+        if is_set(path):
+            with extras.in_use(LEROBOT):
+                opened: Source = part_of(LEROBOT, "set_source:open_set")(path, epoch_ns, DEFAULT_EPOCH_NS, episodes)
+            return opened
         if is_bag(path):
             return Rosbag2(path)
-        raise UnsupportedRecording(f"{path}: found a directory without {METADATA}, expected a rosbag2 recording")
+        raise UnsupportedRecording(
+            f"{path}: found a directory without {METADATA} and {_SET}, expected a rosbag2 recording or a LeRobot data "
+            "set"
+        )
     with library_errors_as_damage(path), files.open_file(path) as stream:
         start = stream.read(START)
     if path.name.endswith(".zstd"):
@@ -176,6 +194,11 @@ def is_bag(folder: Path) -> bool:
     return bool(names) and (len(names) == 1 or len({_PART.sub("", name) for name in names}) == 1)
 
 
+def is_set(folder: Path) -> bool:
+    """Return whether a folder is a LeRobot data set."""
+    return (folder / _SET).is_file()
+
+
 def what_is_foreign(path: Path) -> str:
     """Return what a file is that no import reads, and what takes it, in words; "" if neither is known."""
     try:
@@ -193,7 +216,7 @@ def what_to_import(path: Path) -> str:
     """
     try:
         if path.is_dir():
-            return "a bag of rosbag2" if is_bag(path) else ""
+            return "a LeRobot data set" if is_set(path) else "a bag of rosbag2" if is_bag(path) else ""
         with files.open_file(path) as stream:
             start = stream.read(START)
     except (GatewayError, OSError):

@@ -36,6 +36,9 @@ EXAMPLES = """\
   igtl-gateway import ProbeToTracker.h5 -o session.mcap
   # markups of 3D Slicer (.mrk.json .fcsv), as POINT, TRAJ and POLYDATA
   igtl-gateway import Plan.mrk.json -o session.mcap
+  # a LeRobot data set (v2.1, v3.0), or one of its episodes
+  igtl-gateway import dataset/ -o session.mcap
+  igtl-gateway import dataset/ -o episode.mcap --episodes 7
   # the bytes that an OpenIGTLink server sent
   igtl-gateway import probe.s2c.igtl -o session.mcap
   # OpenIGTLink in captured TCP, both directions
@@ -46,13 +49,21 @@ output marks them.  If SOURCE is damaged, OUT is not written without --partial."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", metavar="SOURCE", type=Path, help="file, or directory of a rosbag2 recording")
+    parser.add_argument(
+        "source", metavar="SOURCE", type=Path, help="file, or directory of a rosbag2 recording or a LeRobot data set"
+    )
     add_output(parser, "session file to write", new_recording, required=True)
     parser.add_argument(
         "--epoch",
         metavar="TIME",
         type=epoch,
         help="start time of sequences and of messages without stamps, ISO 8601 " + default("2000-01-01T00:00:00Z"),
+    )
+    parser.add_argument(
+        "--episodes",
+        metavar="N:M",
+        default="",
+        help="of a LeRobot data set: an episode such as 3, or a half-open range such as 0:8 " + default("all"),
     )
     parser.add_argument(
         "--partial", action="store_true", help="if SOURCE is damaged, write what was read before the damage"

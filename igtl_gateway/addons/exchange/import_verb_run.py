@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError(f"--output: found {options.output}, which is the source, expected another file")
     failure = ""
     with (
-        closing(open_source(options.source, options.epoch)) as source,
+        closing(open_source(options.source, options.epoch, options.episodes)) as source,
         written(options.output, overwrite=options.overwrite) as place,
     ):
         writer = SessionWriter(

@@ -21,6 +21,8 @@ _FOLDERS = frozenset({b"moov", b"trak", b"mdia", b"minf", b"stbl", b"edts", b"mo
 _COUNTS = {b"stsz": 8, b"stz2": 8, b"stts": 4, b"ctts": 4, b"stsc": 4, b"stss": 4, b"stco": 4, b"co64": 4, b"elst": 4}
 _TIMES = struct.Struct(">II")
 _TRUN_COUNT = 4
+#: Flag of a run of samples that have a time to be shown at.
+_TRUN_SHOWN = 0x800
 #: Samples of a video: 240 MB of rows.  Bytes that are holes of a sparse file count as bytes.
 _MOST = 10_000_000
 #: Of the longest head of a box with a number: what is read.
@@ -53,6 +55,21 @@ def check_samples(stream: IO[bytes], size: int, place: str) -> None:
                 f"{place}: {kind.decode()}: found {count_text(found, 'sample')}, expected at most {_MOST:,}"
             )
     stream.seek(0)
+
+
+def is_reordered(stream: IO[bytes], size: int, place: str) -> bool:
+    """Return whether samples have times to be shown at beside those to be decoded at: some need later ones.
+
+    Of a file of ``size`` bytes that ``check_samples`` has taken.
+    """
+    for kind, at, _ in _boxes(stream, 0, size, 0, place):
+        stream.seek(at)
+        head = stream.read(_TIMES.size)
+        if kind == b"ctts" and any(head[4:]):
+            return True
+        if kind == b"trun" and int.from_bytes(head[:4], "big") & _TRUN_SHOWN:
+            return True
+    return False
 
 
 def _samples_of_runs(stream: IO[bytes], at: int, runs: int) -> int:

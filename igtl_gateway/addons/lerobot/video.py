@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,7 +16,7 @@ import numpy.typing as npt
 from igtl_gateway.addon import DamagedRecording, Unavailable
 from igtl_gateway.addon.messages import MAX_PIXELS, import_av
 from igtl_gateway.addon.messages import VIDEO_THREADS as THREADS
-from igtl_gateway.addon.untrusted import deadline_of, open_file
+from igtl_gateway.addon.untrusted import Deadline, deadline_of, open_file
 from igtl_gateway.addon.writing import empty_file, make_folder
 from igtl_gateway.addons.lerobot.mp4_samples import check_samples
 
@@ -93,6 +94,25 @@ def read_video(path: Path, size: tuple[int, int] | None = None) -> Iterator[tupl
         DamagedRecording: it is not a video of that size, or it cannot be decoded.
         LimitExceeded: decoding it takes longer than a file of its size may take.
     """
+    with opened_video(path) as (file, deadline):
+        codec = file.streams.video[0].codec_context
+        _check_size(path, (codec.height, codec.width), size)
+        for packet in file.demux(video=0):
+            frames = packet.decode()
+            deadline.check(str(path))
+            for frame in frames:
+                _check_size(path, (frame.height, frame.width), size)
+                picture = pixels_of(path, frame)
+                with deadline.paused():
+                    yield float(frame.time or 0.0), picture
+
+
+@contextmanager
+def opened_video(path: Path) -> Iterator[tuple[Any, Deadline]]:
+    """Context manager: an mp4 file with a video, open in PyAV, and the deadline for reading it.
+
+    Raises as ``read_video``, also for the errors of PyAV inside of it.
+    """
     av = import_av()
     with open_file(path) as stream:
         length = os.fstat(stream.fileno()).st_size
@@ -104,19 +124,17 @@ def read_video(path: Path, size: tuple[int, int] | None = None) -> Iterator[tupl
                     raise DamagedRecording(f"{path}: found no video, expected one")
                 codec = file.streams.video[0].codec_context
                 codec.options = {"max_pixels": str(MAX_PIXELS), "err_detect": "explode"}
-                _check_size(path, (codec.height, codec.width), size)
-                for packet in file.demux(video=0):
-                    frames = packet.decode()
-                    deadline.check(str(path))
-                    for frame in frames:
-                        _check_size(path, (frame.height, frame.width), size)
-                        if frame.is_corrupt:
-                            raise DamagedRecording(f"{path}: cannot be decoded: found a damaged frame")
-                        picture = frame.to_ndarray(format="rgb24")
-                        with deadline.paused():
-                            yield float(frame.time or 0.0), picture
+                yield file, deadline
         except (av.FFmpegError, OSError, ValueError, OverflowError, MemoryError) as error:
             raise DamagedRecording(f"{path}: cannot be decoded: {_reason(source.error or error)}") from None
+
+
+def pixels_of(path: Path, frame: Any) -> Pixels:
+    """Return the picture (rows, columns, 3) of a frame of PyAV.  Raises DamagedRecording."""
+    if frame.is_corrupt:
+        raise DamagedRecording(f"{path}: cannot be decoded: found a damaged frame")
+    picture: Pixels = frame.to_ndarray(format="rgb24")
+    return picture
 
 
 class _Source:
