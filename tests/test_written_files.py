@@ -212,6 +212,7 @@ _ELSEWHERE = {
     "addons/lerobot/layout.py": "in the folder of a training set",
     "addons/lerobot/video.py": "in the folder of a training set",
     "addons/lerobot/writing.py": "in the folder of a training set",
+    "addons/lerobot/native.py": "in the folder of a training set",
     "addons/lerobot/assembling.py": "in the folder of a training set",
     "addons/lerobot/checksums.py": "in the folder of a training set",
 }

@@ -34,6 +34,7 @@ from igtl_gateway.addons.lerobot.layout import (
     write_json,
     write_table,
 )
+from igtl_gateway.addons.lerobot.native import NATIVE, native_of
 from igtl_gateway.addons.lerobot.recipe import Recipe
 from igtl_gateway.addons.lerobot.schema import Described, RowFacts, Schema
 from igtl_gateway.addons.lerobot.session_list import SESSIONS, SessionList, SetSession, joined_pictures, pictures_of
@@ -112,6 +113,9 @@ def assemble(root: Path, recipe: Recipe, text: bytes, schema: Schema, so_far: Se
             _add_version30(root, part, own, so_far)
         number = len(so_far.sessions.sessions)
         os.rename(part.folder / PROVENANCE, meta / provenance_of(number))
+        for path in sorted((part.folder / NATIVE).glob("*.parquet")):
+            make_folder(meta / NATIVE / path.stem, parents=True, exist_ok=True)
+            os.rename(path, meta / native_of(path.stem, number))
         _count(so_far, part)
     if version == "v2.1":
         _add_lines(new, rows, so_far.tasks)

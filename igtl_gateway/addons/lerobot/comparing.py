@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pyarrow as pa
 
 from igtl_gateway.addon import GatewayError
 from igtl_gateway.addon.reading import open_recording
@@ -21,9 +22,10 @@ from igtl_gateway.addons.lerobot.checking_stats import numbers_of
 from igtl_gateway.addons.lerobot.columns import Tables, is_number, is_numeric, matrix_of
 from igtl_gateway.addons.lerobot.comparing_pictures import PictureCheck
 from igtl_gateway.addons.lerobot.frames import Episode, Place, Plan, build
+from igtl_gateway.addons.lerobot.native import native_name, native_of, native_rows, native_table
 from igtl_gateway.addons.lerobot.parts import content_digest
 from igtl_gateway.addons.lerobot.reading import FoundDataSet, read_total_stats
-from igtl_gateway.addons.lerobot.recipe import Recipe
+from igtl_gateway.addons.lerobot.recipe import STAMPS, TIME, Recipe
 from igtl_gateway.addons.lerobot.recipe_file import read_recipe
 from igtl_gateway.addons.lerobot.session_list import SESSIONS, SessionList, read_session_list
 from igtl_gateway.addons.lerobot.splits import ranges_of
@@ -143,6 +145,9 @@ def _session(
             yield f"cannot be compared with {path}: {error}"
             return
         yield from _compare(found, plan, number, totals, is_whole=is_whole)
+        for index in native_rows(plan):
+            file = f"meta/{native_of(native_name(plan, index), number)}"
+            yield from _table(found, file, native_table(recording, plan, index))
     if is_whole:
         yield from _totals(found, totals)
 
@@ -172,7 +177,7 @@ def _compare(found: FoundDataSet, plan: Plan, number: int, totals: _Totals, *, i
         except GatewayError:
             continue  # the rules have it
         yield from (f"episode {one.index}: {each}" for each in _columns(plan, two, table))
-    yield from _provenance(found, plan, provenance_of(number))
+    yield from _table(found, f"meta/{provenance_of(number)}", trace_of(plan))
     yield from _statistics(found, plan, totals)
 
 
@@ -235,11 +240,12 @@ def _short(value: Any) -> str:
 
 
 def _columns(plan: Plan, episode: Episode, table: Any) -> Iterator[str]:
-    for name in plan.recipe.names:
-        kind = plan.kind(name)
+    stamps = own_columns(plan, episode, 0) if plan.recipe.stamps else {}
+    for name in (*plan.recipe.names, *(each for each in (TIME, STAMPS) if each in stamps)):
+        kind = "numbers" if name in stamps else plan.kind(name)
         if kind == "picture" or name not in table.schema.names or table.num_rows != episode.count:
             continue
-        expected = plan.values(episode, name)
+        expected = stamps[name].reshape(episode.count, -1) if name in stamps else plan.values(episode, name)
         if kind == "text":
             wrong = np.array([one != two for one, two in zip(table[name].to_pylist(), expected, strict=True)])
         else:
@@ -259,26 +265,27 @@ def _value(table: Any, name: str, row: int) -> str:
 
 def _shown(value: Any) -> str:
     if isinstance(value, list | np.ndarray):
-        return _short("[" + ", ".join(f"{each:.6g}" for each in value) + "]")
+        numbers = (f"{each:.6g}" if isinstance(each, float | np.floating) else str(each) for each in value)
+        return _short("[" + ", ".join(numbers) + "]")
     return _short(repr(value))
 
 
-def _provenance(found: FoundDataSet, plan: Plan, file: str) -> Iterator[str]:
-    path = found.root / "meta" / file
-    expected = trace_of(plan)
+def _table(found: FoundDataSet, place: str, expected: pa.Table) -> Iterator[str]:
+    """Differences of a table of numbers beside the frames."""
     try:
-        with parquet_columns(path) as columns:
+        with parquet_columns(found.root / place) as columns:
             if columns.schema.names != expected.schema.names or columns.rows != expected.num_rows:
-                yield f"meta/{file}: found other columns or rows, expected those of the recipe"
+                yield f"{place}: found other columns or rows, expected those of the recipe"
                 return
             for name in expected.schema.names:  # each alone, and only numbers: none has more memory than it should
                 is_plain = is_number(columns.schema.field(name).type)
                 if not is_plain or not is_numeric(table := columns.read([name]), name):
-                    yield f"meta/{file}: {name}: found missing values or no numbers, expected numbers"
+                    yield f"{place}: {name}: found missing values or no numbers, expected numbers"
                     continue
                 one, two = matrix_of(table, name)[:, 0], matrix_of(expected, name)[:, 0]
-                if not np.array_equal(one, two):
-                    row = int(np.argmax(one != two))
-                    yield f"meta/{file}: {name}: row {row}: found {one[row]}, expected {two[row]}"
+                differ = (one != two) & ~(np.isnan(one) & np.isnan(two))
+                if differ.any():
+                    row = int(np.argmax(differ))
+                    yield f"{place}: {name}: row {row}: found {one[row]}, expected {two[row]}"
     except GatewayError as error:
         yield str(error)

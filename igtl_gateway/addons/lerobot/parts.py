@@ -20,6 +20,7 @@ from igtl_gateway.addon.untrusted import open_file
 from igtl_gateway.addons.lerobot.card import approach, spaces, synchronization, unaligned
 from igtl_gateway.addons.lerobot.card_streams import Facts, stream_facts
 from igtl_gateway.addons.lerobot.frames import Place, Plan, build
+from igtl_gateway.addons.lerobot.native import write_native
 from igtl_gateway.addons.lerobot.recipe import Recipe
 from igtl_gateway.addons.lerobot.recipe_file import read_recipe
 from igtl_gateway.addons.lerobot.samples import Samples
@@ -106,6 +107,7 @@ def written_part(recording: Recording, plan: Plan, part: Path, name: str) -> dic
     """Write the part of a session, and return what is known about it."""
     streams = stream_facts(recording, plan)
     written = write_part(plan, part, synchronization(plan, streams, name))
+    write_native(recording, plan, part)
     return written | {
         "unaligned": sum(map(bool, unaligned(plan, streams))),
         "spaces": list(spaces(plan)),

@@ -16,6 +16,7 @@ CUTS = ("whole", "ranges", "markers", "notes", "marks", "gap", "still")
 IMAGES = "observation.images."
 STATE, ACTION = "observation.state", "action"
 #: Columns that every data set has; no feature can have these names.
+TIME, STAMPS = "time_ns", "stamp_ns"
 OWN_COLUMNS = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 
@@ -38,6 +39,7 @@ class Feature:
         lag: ``"measured"``: the lag behind ``against`` by ``sync`` is subtracted.
         against: key of the stream that the lag is measured against.
         window: (low, high) values that become black and white, for pictures of more than 8 bits.
+        native: whether all messages are in a table of their own, too, at the rate of the stream.
         next_of: name of the feature whose next value this one has; then nothing but the name is set.
     """
 
@@ -54,6 +56,7 @@ class Feature:
     lag: str = ""
     against: str = ""
     window: tuple[float, ...] = ()
+    native: bool = False
     next_of: str = ""
 
     @property
@@ -111,6 +114,7 @@ class Recipe:
         min_frames: shorter episodes are left out.
         split_long: divide episodes that are too long for float32 time stamps, instead of refusing them.
         measure_lags: measure the lags between the streams for the card.
+        stamps: whether the time of each frame and the stamps of its messages are features.
         features: the rows of ``[[feature]]``.
         episodes: the table ``[episodes]``.
         rates: ``same``: sessions whose streams have other rates are refused; ``any``: they are not.
@@ -129,6 +133,7 @@ class Recipe:
     min_frames: int = 2
     split_long: bool = False
     measure_lags: bool = True
+    stamps: bool = False
     features: tuple[Feature, ...] = ()
     episodes: Cuts = Cuts()
     rates: str = "same"
@@ -139,6 +144,11 @@ class Recipe:
     def rows(self, name: str) -> list[int]:
         """Return the indices of the rows of a feature."""
         return [index for index, row in enumerate(self.features) if row.name == name]
+
+    def label(self, index: int) -> str:
+        """Return the name of a row: that of its feature, and its number among the rows of this name."""
+        name = self.features[index].name
+        return f"{name}[{self.rows(name).index(index)}]"
 
     @property
     def names(self) -> list[str]:

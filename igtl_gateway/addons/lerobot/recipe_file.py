@@ -105,6 +105,7 @@ _DATASET: dict[str, Check] = {
     "rates": _choice(RATES),
     "split_long": _TRUTH,
     "measure_lags": _TRUTH,
+    "stamps": _TRUTH,
 }
 _FEATURES: dict[str, Check] = {
     "name": (
@@ -123,6 +124,7 @@ _FEATURES: dict[str, Check] = {
     "lag": _choice(("measured",)),
     "against": (_foreign, f"a string of 1 to {_MAX_TEXT} characters"),
     "window": (_window, "two increasing numbers, such as [0, 4095]"),
+    "native": _TRUTH,
     "next_of": _text(least=1),
 }
 _CUTS: dict[str, Check] = {
@@ -253,6 +255,8 @@ def _check_features(recipe: Recipe) -> None:
             raise ConfigError(f"{place}: found no stream, expected the key of a stream, or next_of")
         if row.is_picture and (row.name.count(".") != 2 or row.fields or row.names or row.rule == "interpolate"):
             raise ConfigError(f"{place}: found fields, names, interpolate or a further dot, expected a picture")
+        if row.is_picture and row.native:
+            raise ConfigError(f"{place}.native: found it for a picture, expected numbers or poses")
         if len(recipe.rows(row.name)) > 1 and (row.is_picture or row.next_of):
             raise ConfigError(f"{place}: found {counted(len(recipe.rows(row.name)), 'row')}, expected one")
         if (row.lag == "measured") != bool(row.against) or (row.lag and row.lag_ms):

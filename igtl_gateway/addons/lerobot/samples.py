@@ -204,6 +204,8 @@ def read_samples(
     except ConfigError as error:
         raise ConfigError(f"{place}: {error}") from None
     what, rules = _RULES[kind]
+    if row.native and kind == "text":
+        raise ConfigError(f"{place}.native: found it for {what}, expected numbers or poses")
     rule = row.rule or rules[0]
     if rule not in rules:
         raise ConfigError(f"{place}.rule: found {rule} for {what}, expected one of {', '.join(rules)}")
@@ -279,6 +281,25 @@ def _values(stream: Stream, row: Feature) -> tuple[str, Array, Any, tuple[str, .
     return _columns(stream, fields, row)
 
 
+def recorded_numbers(stream: Stream, row: Feature) -> tuple[Times, Array, tuple[str, ...], Times]:
+    """Return the numbers of all messages, in the units of the data set and without those of other messages.
+
+    Returns:
+        Indices (M,) of the messages that can be read, numbers (M, K) float64 with NaN for those that a message does
+        not have, their names, and the indices of the messages of which a frame can have the numbers.
+    """
+    usable = _values(stream, row)[1]
+    if row.fields:
+        _, rows, numbers, names, _ = _columns(stream, row.fields, row, as_recorded=True)
+        return rows, numbers, names, usable
+    poses = stream.poses(row.frame).in_unit("m")
+    turns = np.full((len(poses.rows), len(_ORIENTATION_NAMES[row.orientation])), np.nan)
+    good = np.isfinite(poses.matrices).all(axis=(1, 2))
+    turns[good] = orientation(poses.matrices[good], row.orientation)
+    numbers = np.concatenate([poses.matrices[:, :3, 3], turns], axis=1)
+    return poses.rows, numbers, _AXES + _ORIENTATION_NAMES[row.orientation], usable
+
+
 def _units(stream: Stream, row: Feature) -> tuple[str, ...]:
     """The units of the columns in the data set, and those in the messages of SENSOR, whose numbers keep them."""
     if not row.fields:
@@ -337,8 +358,10 @@ def _check_lengths(table: Any, fields: Sequence[str]) -> None:
                 )
 
 
-def _columns(stream: Stream, fields: Sequence[str], row: Feature) -> tuple[str, Array, Any, tuple[str, ...], None]:
-    """The numbers in columns of the table of the stream, or the text in one."""
+def _columns(
+    stream: Stream, fields: Sequence[str], row: Feature, *, as_recorded: bool = False
+) -> tuple[str, Array, Any, tuple[str, ...], None]:
+    """The numbers in columns of the table of the stream, or the text in one; ``as_recorded``: with unusable ones."""
     import pyarrow as pa
 
     table, rows = stream.arrow_and_rows()
@@ -360,7 +383,7 @@ def _columns(stream: Stream, fields: Sequence[str], row: Feature) -> tuple[str, 
         values = table[name].to_pylist()
         shown = f"{name.removesuffix(f'_{unit}')}_{wanted}" if unit and name.endswith(f"_{unit}") else name
         size = next((len(each) for each in values if isinstance(each, list) and each), 0)
-        if size and (named := _by_name(table, values, stream, rows, row, name)):
+        if size and (named := _by_name(table, values, stream, rows, row, name, as_recorded)):
             blocks.append(named[1] * factor)
             names += [f"{joint}.{shown}" for joint in named[0]]
         elif any(isinstance(each, list) for each in values):
@@ -372,6 +395,8 @@ def _columns(stream: Stream, fields: Sequence[str], row: Feature) -> tuple[str, 
     found = np.concatenate(blocks, axis=1)
     if not found.shape[1]:
         raise ConfigError(f"fields: found no number in {', '.join(fields)} of {stream.key}, expected one or more")
+    if as_recorded:
+        return "numbers", rows, found, tuple(names), None
     finite = _finite_float32(found)
     return "numbers", rows[finite], found[finite], tuple(names), None
 
@@ -389,12 +414,12 @@ def _row(values: Any, size: int) -> list[float]:
 
 
 def _by_name(
-    table: Any, values: list[Any], stream: Stream, rows: Times, row: Feature, column: str
+    table: Any, values: list[Any], stream: Stream, rows: Times, row: Feature, column: str, as_recorded: bool
 ) -> tuple[tuple[str, ...], Array] | None:
     """The names of the joints and their values (N, K), of messages with any of them in any order; None without names.
 
     A message that does not have a joint has the value by the rule of the row, within its tolerance: so the last value
-    of each joint, or the one between two, is exact at the times of all messages.
+    of each joint, or the one between two, is exact at the times of all messages.  ``as_recorded``: it has NaN.
     """
     field = next((each for each in NAME_FIELDS if each in table.schema.names), "")
     lists = table[field].to_pylist() if field else []
@@ -405,10 +430,12 @@ def _by_name(
         return None
     if len(found.names) > MAX_NUMBERS:
         raise ConfigError(f"fields: found {count_text(len(found.names), 'name')}, expected at most {MAX_NUMBERS:,}")
+    names = tuple(each if each.isprintable() else repr(each) for each in found.names)
+    if as_recorded:
+        return names, found.values
     sources = stream.stamps[rows]
     times = sources if np.all(sources > 0) else stream.times[rows]
     most_ns = (1 << 62) - 1 if row.tolerance_ms is None else round(row.tolerance_ms * 1e6)
-    names = tuple(each if each.isprintable() else repr(each) for each in found.names)
     half_turn = np.pi if (stream.type, column) == (_JOINTS, _POSITION) else np.inf
     return names, completed(found, times, row.rule or "hold", most_ns, half_turn)
 

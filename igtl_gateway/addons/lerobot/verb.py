@@ -251,7 +251,7 @@ def _print_sparse(facts: Sequence[Mapping[str, Any]], fps: int) -> None:
         print_line(
             printable(
                 f"note: {each['stream']} has {each['rate_hz']:,.4g} Hz, the frames {fps}: {each['used']:,} of "
-                f"{count_text(each['within'], 'message')} are in a frame; a larger fps takes more"
+                f"{count_text(each['within'], 'message')} are in a frame; a larger fps takes more, native = true all"
             )
         )
 

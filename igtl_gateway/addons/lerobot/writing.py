@@ -14,6 +14,7 @@ from igtl_gateway.addon import UnsupportedRecording
 from igtl_gateway.addon.writing import check_folder, make_folder, open_new, write_text
 from igtl_gateway.addons.lerobot.frames import Episode, Plan
 from igtl_gateway.addons.lerobot.layout import Facts, Layout, layout_of
+from igtl_gateway.addons.lerobot.recipe import STAMPS, TIME
 from igtl_gateway.addons.lerobot.stats import PictureStats, Stats, number_stats, sampled
 from igtl_gateway.addons.lerobot.video import video_info
 
@@ -77,6 +78,11 @@ def facts_of(plan: Plan) -> Facts:
             case _:
                 names = plan.names(name)
                 features[name] = {"dtype": "float32", "shape": [len(names)], "names": names}
+    if recipe.stamps:
+        # a policy takes as input what begins with observation. or action., and in float32 a stamp is wrong by 137 s
+        labels = stamp_names(plan)
+        features[TIME] = {"dtype": "int64", "shape": [1], "names": None}
+        features[STAMPS] = {"dtype": "int64", "shape": [len(labels)], "names": labels}
     features["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
     for name in ("frame_index", "episode_index", "index", "task_index"):
         features[name] = {"dtype": "int64", "shape": [1], "names": None}
@@ -86,13 +92,32 @@ def facts_of(plan: Plan) -> Facts:
 def own_columns(plan: Plan, episode: Episode, first: int) -> dict[str, Any]:
     """Return the columns that every data set has; ``first`` is the index of the first frame in the data set."""
     frames = np.arange(episode.count, dtype=np.int64)
-    return {
+    stamps = {TIME: episode.times, STAMPS: _stamps(plan, episode)} if plan.recipe.stamps else {}
+    return stamps | {
         "timestamp": (frames / plan.recipe.fps).astype(np.float32),
         "frame_index": frames,
         "episode_index": np.full(episode.count, plan.place.episode + episode.index, np.int64),
         "index": first + frames,
         "task_index": np.full(episode.count, plan.tasks.index(episode.task), np.int64),
     }
+
+
+def stamp_names(plan: Plan) -> list[str]:
+    """Return the names of the stamps of a frame: two for a row that is interpolated, otherwise one."""
+    return [plan.recipe.label(index) + key for index, key in _stamp_columns(plan)]
+
+
+def _stamp_columns(plan: Plan) -> list[tuple[int, str]]:
+    """Row of the recipe, and "" or ".after"."""
+    rows = [(index, each.row.rule) for index, each in enumerate(plan.samples) if each is not None]
+    return [(index, key) for index, rule in rows for key in (("", ".after") if rule == "interpolate" else ("",))]
+
+
+def _stamps(plan: Plan, episode: Episode) -> Any:
+    """The stamps of the messages of each frame, (count, K) int64 ns as recorded; 0 for a frame without a string."""
+    columns = {"": "stamp_ns", ".after": "stamp_after_ns"}
+    found = {index: plan.provenance(episode, index) for index, _ in _stamp_columns(plan)}
+    return np.stack([found[index][columns[key]] for index, key in _stamp_columns(plan)], axis=1)
 
 
 def _write_episodes(plan: Plan, layout: Layout) -> dict[str, PictureStats]:
@@ -156,8 +181,8 @@ def trace_of(plan: Plan) -> pa.Table:
         own = own_columns(plan, episode, first)
         columns: dict[str, Any] = {name: own[name] for name in ("index", "episode_index", "frame_index")}
         columns["time_ns"] = episode.times
-        for index, row in enumerate(plan.recipe.features):
-            label = f"{row.name}[{plan.recipe.rows(row.name).index(index)}]"
+        for index in range(len(plan.recipe.features)):
+            label = plan.recipe.label(index)
             columns |= {f"{label}.{key}": values for key, values in plan.provenance(episode, index).items()}
         tables.append(pa.table({name: pa.array(values) for name, values in columns.items()}))
         first += episode.count
