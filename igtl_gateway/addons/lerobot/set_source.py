@@ -134,7 +134,9 @@ class SetSource(NonRosSource):
     def _add(self, name: str, feature: Mapping[str, Any]) -> None:
         """Add the streams of a feature, or a row with the reason that there is none."""
         dtype, topic = feature["dtype"], self._topic(name)
-        if dtype == "video":
+        if dtype == "video" and _is_depth(feature):
+            self._leave_out(name, dtype, "depth in a video is not imported")
+        elif dtype == "video":
             self._add_video(name, topic)
         elif dtype in NUMBERS:
             width = prod(feature["shape"])
@@ -150,8 +152,10 @@ class SetSource(NonRosSource):
         elif dtype == "image":
             self._add_stream(topic, CompressedImage.TYPE, name, partial(self._stills, name))
         else:
-            why = f"no message has {printable(dtype)[:40]}"
-            self.rows.append(ImportedStream(printable(name), self._count, dtype, left_out=self._count, why=why))
+            self._leave_out(name, dtype, f"no message has {printable(dtype)[:40]}")
+
+    def _leave_out(self, name: str, dtype: str, why: str) -> None:
+        self.rows.append(ImportedStream(printable(name), self._count, dtype, left_out=self._count, why=why))
 
     def _add_stream(
         self, topic: str, kind: str, name: str, messages: Callable[[_Frames], Iterator[Stamped]]
@@ -356,6 +360,12 @@ def _variants(topic: str) -> Iterator[str]:
     yield topic
     for number in count(2):
         yield f"{topic}_{number}"
+
+
+def _is_depth(feature: Mapping[str, Any]) -> bool:
+    """Return whether the grey values of a video stand for distances."""
+    facts = feature.get("info")
+    return isinstance(facts, dict) and True in (facts.get("is_depth_map"), facts.get("video.is_depth_map"))
 
 
 def _labels(axes: Any, sizes: int) -> list[str]:

@@ -340,6 +340,7 @@ def test_episodes_that_are_not_there(
 def test_what_is_not_taken_is_named(sets: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root = shutil.copytree(sets / "v2.1", tmp_path / "set")
     feature("observation.audio.room", dtype="audio", shape=[1])(root)
+    feature(VIEW, info={"is_depth_map": True})(root)
     (root / "LICENSE").write_text("none", "utf-8")
     assert main(["import", str(root), "-o", str(tmp_path / "s.mcap"), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -349,6 +350,7 @@ def test_what_is_not_taken_is_named(sets: Path, tmp_path: Path, capsys: pytest.C
             "left_out": 10, "why": "no message has audio", "good": True,
         }
     ]  # fmt: skip
+    assert [row["why"] for row in told["rows"] if row["stream"] == VIEW] == ["depth in a video is not imported"]
     assert any(note.startswith("not imported: LICENSE, meta/README.md") for note in told["notes"])
 
 
