@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile.new_file import write_bytes as write_bytes
     from igtl_gateway.record.sessionfile.new_file import write_text as write_text
     from igtl_gateway.record.sessionfile.schemas import RosTypes as RosTypes
+    from igtl_gateway.record.sessionfile.side_file import SIDE_FILE as SIDE_FILE
     from igtl_gateway.record.sessionfile.stream import McapStream as McapStream
     from igtl_gateway.record.sessionfile.whole_files import check_folder as check_folder
     from igtl_gateway.record.sessionfile.whole_files import check_target as check_target
@@ -51,6 +52,7 @@ HOMES: Homes = (
     ("base.systems.files", "lock_handle=lock"),
     # Sessions
     ("record.sessionfile.writer", "SessionWriter"),
+    ("record.sessionfile.side_file", "SIDE_FILE"),
     ("record.sessionfile.large_outputs", "LargeOutputs Outputs"),
     ("record.sessionfile.definition", "Definition FileDefinitions another_definition"),
     ("record.sessionfile.schemas", "RosTypes"),

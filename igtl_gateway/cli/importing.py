@@ -18,7 +18,7 @@ _NO_MCAP, _OTHERS, _FOLDER = "not an MCAP file", "of another program", "found a 
 #: Verb of one recording → that of `cohort`, which takes many.
 COHORT = {"info": "info", "doctor": "lint", "lint": "lint", "verify": "verify", "review": "review", "sync": "sync"}
 #: Verbs that take folders, or read no recording.
-_OF_FOLDERS = ("cohort", "decode", "keep", "page", "upload")
+_OF_FOLDERS = ("cohort", "decode", "keep", "page", "sync", "upload")
 #: Files in and below a folder that are looked at.
 _MOST = 10_000
 #: Recordings that a command names.

@@ -96,7 +96,6 @@ def test_a_folder_of_recordings_is_no_bag(
         "verify": "verify",
         "doctor": "lint",
         "review": "review",
-        "sync": "sync",
     }.items():
         for folder in ("study", "."):
             found = " ".join(printed(f"{verb} X", folder, capsys).split())

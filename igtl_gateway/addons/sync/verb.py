@@ -22,6 +22,8 @@ EXAMPLES = """\
   igtl-gateway sync out.mcap TRANSFORM/Probe IMAGE/Video /joint_states
   # all streams in which something moves
   igtl-gateway sync out.mcap
+  # all recordings in and below a folder: a table of lags
+  igtl-gateway sync sessions/ TRANSFORM/Probe IMAGE/Video
   # a jaw that opens and closes periodically, and an insertion that does not:
   # kinematics and video, one lag
   igtl-gateway sync out.mcap /psm/jaw /video/jaw --max-lag 5 \\
@@ -34,11 +36,12 @@ EXAMPLES = """\
 
 A positive lag means that the stamps of the stream are late: what the first
 stream shows at time t, it shows at t + lag.  Exit code 0: all lags are
-measured; 1: the data give no lag, and the reason is printed."""
+measured; 1: the data give no lag, and the reason is printed.  Of a folder, 0:
+each row has a lag; 1: one has none, or a recording cannot be read."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_file(parser)
+    add_file(parser, "recording, or a folder of recordings")
     parser.add_argument(
         "streams",
         metavar="STREAM",

@@ -20,6 +20,7 @@ from igtl_gateway.addons.sync import plot
 from igtl_gateway.addons.sync.correcting import write_corrected
 from igtl_gateway.addons.sync.correction import is_corrected
 from igtl_gateway.addons.sync.curves import lag_text
+from igtl_gateway.addons.sync.folder import Measured, recordings_of, run_folder
 from igtl_gateway.addons.sync.lag import Lag, Pair, Verdict, measure_lag, measure_together
 from igtl_gateway.addons.sync.lags import POSES_BY_NAME, TRACKING, movement, movements, too_few, tools
 from igtl_gateway.addons.sync.signal import Signal
@@ -27,16 +28,16 @@ from igtl_gateway.addons.sync.signal import Signal
 
 def run(options: argparse.Namespace) -> int:
     _check(options)
-    with ExitStack() as stack:
-        opened = [
-            stack.enter_context(open_recording(path)) for path in (options.file, options.other) if path is not None
-        ]
-        signals, unreadable = _signals(opened, options)
-        pairs = _pairs(opened, options)
-    if len(signals) < 2:
-        raise too_few(signals, unreadable, options.file)
-    fixed, *others = signals
-    lags = [(signal, _measure(fixed, signal, pairs, options)) for signal in others]
+    if recordings := recordings_of(options.file):
+        _check_folder(options)
+
+        def measure(path: Path) -> Measured:
+            fixed, lags, unreadable, _ = _measured([path], options)
+            return fixed, lags, unreadable
+
+        return run_folder(options.file, recordings, measure, lag_facts, as_json=options.json)
+    paths = [path for path in (options.file, options.other) if path is not None]
+    fixed, lags, unreadable, pairs = _measured(paths, options)
     if options.plot:
         chart = plot.lag_chart(fixed, lags, unreadable)
         with written(options.plot, overwrite=options.overwrite) as path:
@@ -54,6 +55,26 @@ def run(options: argparse.Namespace) -> int:
         if options.apply:
             print_line(applied.text() if applied else f"{options.output}: not written: there is no lag to correct")
     return 0 if good and not unreadable else 1
+
+
+def _measured(
+    paths: Sequence[Path], options: argparse.Namespace
+) -> tuple[Signal, list[tuple[Signal, Lag]], dict[str, str], list[tuple[Signal, Signal]]]:
+    """Return the reference, the others with their lags, the unreadable streams with the reason, and further pairs."""
+    with ExitStack() as stack:
+        opened = [stack.enter_context(open_recording(path)) for path in paths]
+        signals, unreadable = _signals(opened, options)
+        pairs = _pairs(opened, options)
+    if len(signals) < 2:
+        raise too_few(signals, unreadable, paths[0])
+    fixed, *others = signals
+    return fixed, [(signal, _measure(fixed, signal, pairs, options)) for signal in others], unreadable, pairs
+
+
+def _check_folder(options: argparse.Namespace) -> None:
+    for name, value in (("--with", options.other), ("--plot", options.plot), ("--apply", options.apply)):
+        if value:
+            raise ConfigError(f"{name}: found it with a folder, expected one recording")
 
 
 def _check(options: argparse.Namespace) -> None:
