@@ -52,7 +52,7 @@ class ParquetColumns:
     def read(self, names: list[str] | None = None) -> pa.Table:
         """Return the columns with these names; None: all.  Raises as :func:`read_parquet`."""
         try:
-            table = _opened(self._stream, read_dictionary=self._strings).read(names, use_threads=False)
+            table = self._read(names)
             table.validate(full=True)  # the numbers in a dictionary are not checked before
             strings = sum(map(_string_bytes, table.columns))
             check_unpacked(self._size, strings, f"{self._path}: bytes of all strings")
@@ -62,6 +62,18 @@ class ParquetColumns:
             return table.cast(schema) if table.schema != schema else table
         except _ERRORS as error:
             raise _invalid(self._path, error) from None
+
+    def _read(self, names: list[str] | None) -> pa.Table:
+        """The columns, with strings in their dictionaries."""
+        file = _opened(self._stream, read_dictionary=self._strings)
+        fields = (
+            self.schema if names is None else [self.schema.field(each) for each in names if each in self.schema.names]
+        )
+        if not any(pa.types.is_struct(each.type) for each in fields) or file.num_row_groups < 2:
+            return file.read(names, use_threads=False)
+        # pyarrow does not join dictionaries in structures, as encoded pictures are, of several row groups
+        groups = (file.read_row_group(number, names, use_threads=False) for number in range(file.num_row_groups))
+        return pa.concat_tables(groups)
 
 
 @contextmanager
