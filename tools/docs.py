@@ -987,7 +987,7 @@ def _option(action: argparse.Action) -> tuple[str, str, str]:
             metavar = ""
         case "?" if action.option_strings:
             metavar = f"[{metavar}]"
-        case "+":
+        case "+" | "*":
             metavar = f"{metavar} …"
     names = ", ".join(action.option_strings)
     text, _, default = (action.help or "").replace("%%", "%").partition(" (default: ")

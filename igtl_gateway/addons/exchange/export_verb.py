@@ -52,7 +52,11 @@ exit code 1 if messages of the selected streams cannot be written, or if
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "files", metavar="FILE", type=Path, nargs="+", help=f"recording (MCAP); --to {LEROBOT} takes several"
+        "files",
+        metavar="FILE",
+        type=Path,
+        nargs="*",
+        help=f"recording (MCAP); --to {LEROBOT} takes several, and none with --check",
     )
     parser.add_argument(
         "--to", choices=(*TARGETS, LEROBOT), required=True, metavar="FORMAT", help="format to write, see below"

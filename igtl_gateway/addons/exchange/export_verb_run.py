@@ -14,6 +14,7 @@ from igtl_gateway.addon.streams import GAP_NS
 from igtl_gateway.addon.terminal import (
     aligned,
     count_text,
+    counted,
     file_name,
     print_json,
     print_line,
@@ -37,8 +38,9 @@ def run(options: argparse.Namespace) -> int:
         return int(part_of(LEROBOT, "verb:run_lerobot")(options))
     if LEROBOT_ROW:
         part_of(LEROBOT, "verb:refuse_lerobot_options")(options)
-    if len(options.files) > 1:
-        raise ConfigError(f"--to {options.to}: found {len(options.files)} recordings, expected one")
+    if len(options.files) != 1:
+        found = counted(len(options.files), "recording") if options.files else "no recording"
+        raise ConfigError(f"--to {options.to}: found {found}, expected one")
     options.file = options.files[0]
     if options.output is None:
         raise ConfigError("-o: found none, expected the file or directory to write")

@@ -7,8 +7,7 @@ of frames silently; these are found here.
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
@@ -20,35 +19,42 @@ import pyarrow as pa
 from igtl_gateway.addon import GatewayError
 from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addon.untrusted import Deadline, read_bytes, size_of, stored_bytes
+from igtl_gateway.addons.lerobot.checking_edits import check_edits
+from igtl_gateway.addons.lerobot.checking_images import check_images
 from igtl_gateway.addons.lerobot.checking_stats import StatsCheck
 from igtl_gateway.addons.lerobot.checking_videos import check_videos
 from igtl_gateway.addons.lerobot.checksums import check_checksums, data_files
-from igtl_gateway.addons.lerobot.columns import ARROW, Tables, is_numeric, matrix_of, missing
+from igtl_gateway.addons.lerobot.columns import Tables, is_numeric, matrix_of, missing, row_shape
 from igtl_gateway.addons.lerobot.episodes import TOLERANCE_S, longest
+from igtl_gateway.addons.lerobot.features import ARROW, IMAGE, IMAGE_COLUMN, LANGUAGE, VIDEO, innermost
 from igtl_gateway.addons.lerobot.reading import FoundDataSet, FoundEpisode, read_data_set
 from igtl_gateway.addons.lerobot.recipe import ACTION, OWN_COLUMNS, STATE
+from igtl_gateway.addons.lerobot.splits import MOST_RANGES, RANGE
 
 Array = npt.NDArray[Any]
 
-#: Range of episodes of a split.
-_RANGE = re.compile(r"([0-9]{1,9}):([0-9]{1,9})")
-#: Ranges of a split that are read.
-_MOST_RANGES = 10_000
+#: Types of features with a column.
+_COLUMNS = (IMAGE, LANGUAGE, *ARROW)
 #: Extra columns, or files of no episode, that are listed.
 _MOST = 5
 #: Findings of a data set; a small table may state 200,000 episodes, each of which would be wrong.
 _MOST_FINDINGS = 1_000
 
 
-def check_rules(root: Path) -> tuple[FoundDataSet | None, list[str]]:
-    """Check a data set against the published rules, and return it with the findings; None if it cannot be read."""
+def check_rules(root: Path, notes: list[str] | None = None) -> tuple[FoundDataSet | None, list[str]]:
+    """Check a data set against the published rules, and return it with the findings; None if it cannot be read.
+
+    ``notes`` gets what is no finding, but not as in our sets.
+    """
     try:
         found = read_data_set(root)
     except GatewayError as error:
         return None, [str(error)]
     deadline = Deadline(sum(stored_bytes(path, size_of(path)) for path in data_files(root)))
+    stats = StatsCheck(found, [] if notes is None else notes)
+    checksums = check_checksums(root, deadline) if found.is_ours else ()
     return found, first_findings(
-        chain(_metadata(found), _files(found), check_checksums(root, deadline), _episodes(found, deadline))
+        chain(_metadata(found), _files(found), check_edits(found), checksums, _episodes(found, stats, deadline))
     )
 
 
@@ -70,12 +76,19 @@ def _metadata(found: FoundDataSet) -> Iterator[str]:
         if info.get(name) != expected:
             yield f"{place}: {name}: found {_short(info.get(name))}, expected {expected}"
     features = info["features"]
-    for name in (STATE, ACTION, *OWN_COLUMNS):
+    for name in (*((STATE, ACTION) if found.is_ours else ()), *OWN_COLUMNS):
         if name not in features:
             yield f"{place}: features: found no {name}, expected one"
+    known = (VIDEO, *_COLUMNS)
     for name, each in features.items():
-        if each["dtype"] not in (*ARROW, "video"):
-            yield f"{place}: features.{name}.dtype: found {each['dtype']}, expected one of video, {', '.join(ARROW)}"
+        if each["dtype"] not in known:
+            yield f"{place}: features.{name}.dtype: found {each['dtype']}, expected one of {', '.join(known)}"
+    if found.version == "v3.0" and list(found.tasks) != list(range(len(found.tasks))):
+        row = next(row for row, number in enumerate(found.tasks) if row != number)
+        yield (
+            f"meta/tasks.parquet: row {row}: found task_index {list(found.tasks)[row]}, expected {row}: LeRobot takes "
+            "the row for the number"
+        )
     if not episodes:
         yield "meta/episodes: found no episode, expected one or more"
     if [each.index for each in episodes] != list(range(len(episodes))):
@@ -86,7 +99,11 @@ def _metadata(found: FoundDataSet) -> Iterator[str]:
                 f"episode {each.index}: found {count_text(each.length, 'frame')}, expected at most "
                 f"{longest(info['fps']):,}"
             )
+    if without := [each.index for each in episodes if not each.tasks]:
+        yield f"episode {without[0]}: found no task ({count_text(len(without), 'episode')}), expected one or more"
     yield from _splits(info["splits"], len(episodes), f"{place}: splits")
+    if not found.is_ours:
+        return
     try:
         text = read_bytes(found.root / "meta" / "README.md").decode("utf-8", "replace").lower()
         if "synchron" not in text and "timestamp" not in text:
@@ -98,9 +115,9 @@ def _metadata(found: FoundDataSet) -> Iterator[str]:
 def _splits(splits: dict[str, str], count: int, place: str) -> Iterator[str]:
     """Splits that are invalid or overlap, and episodes without a split."""
     owners: list[str] = [""] * count
-    ranges = ((name, each) for name, text in splits.items() for each in text.split(",", _MOST_RANGES))
+    ranges = ((name, each) for name, text in splits.items() for each in text.split(",", MOST_RANGES))
     for name, text in ranges:
-        found = _RANGE.fullmatch(text)
+        found = RANGE.fullmatch(text)
         start, end = (int(found[1]), int(found[2])) if found else (0, 0)
         if not start < end <= count:
             yield f"{place}.{name}: found {_short(repr(text))}, expected a range within 0:{count}"
@@ -125,8 +142,8 @@ def _files(found: FoundDataSet) -> Iterator[str]:
             yield f"{folder}: {len(others) - _MOST:,} more files of no episode"
 
 
-def _episodes(found: FoundDataSet, deadline: Deadline) -> Iterator[str]:
-    first, tables, stats = 0, Tables(), StatsCheck(found)
+def _episodes(found: FoundDataSet, stats: StatsCheck, deadline: Deadline) -> Iterator[str]:
+    first, tables = 0, Tables()
     for episode in found.episodes:
         place = f"episode {episode.index}"
         deadline.check(str(found.root))
@@ -141,6 +158,7 @@ def _episodes(found: FoundDataSet, deadline: Deadline) -> Iterator[str]:
         if table is not None and episode.length <= longest(found.info["fps"]):
             yield from (f"{place}: {each}" for each in _columns(found, table))
             yield from (f"{place}: {each}" for each in _own_columns(found, episode, table, first))
+            yield from (f"{place}: {each}" for each in check_images(found, episode, table, stats, deadline))
         yield from stats.numbers(episode, table)
         first += episode.length
     yield from check_videos(found, stats)
@@ -148,7 +166,7 @@ def _episodes(found: FoundDataSet, deadline: Deadline) -> Iterator[str]:
 
 
 def _columns(found: FoundDataSet, table: pa.Table) -> Iterator[str]:
-    features = {name: each for name, each in found.info["features"].items() if each["dtype"] in ARROW}
+    features = {name: each for name, each in found.info["features"].items() if each["dtype"] in _COLUMNS}
     others = [name for name in table.schema.names if name not in features]
     for name in others[:_MOST]:
         yield f"found the column {_short(repr(name))}, expected only the features of info.json"
@@ -157,24 +175,33 @@ def _columns(found: FoundDataSet, table: pa.Table) -> Iterator[str]:
     for name, each in features.items():
         if name not in table.schema.names:
             yield f"found no column {name!r}, expected one"
-            continue
-        kind, size = ARROW[each["dtype"]], math.prod(each["shape"])
-        expected = kind if size == 1 else pa.list_(kind, size)
-        actual = table.schema.field(name).type
-        if actual != expected and actual != _nested(expected):
-            yield f"{name}: found {_short(str(actual))}, expected {expected}"
-            continue
-        if number := missing(table[name]):
-            yield f"{name}: found {count_text(number, 'missing value')}, expected none"
-        elif pa.types.is_floating(kind) and not np.isfinite(matrix_of(table, name)).all():
-            yield f"{name}: found values that are not finite, expected numbers"
+        elif each["dtype"] == IMAGE:
+            if table.schema.field(name).type != IMAGE_COLUMN:
+                yield f"{name}: found {_short(str(table.schema.field(name).type))}, expected {IMAGE_COLUMN}"
+        elif each["dtype"] in ARROW:
+            yield from (f"{name}: {text}" for text in _values(table, name, ARROW[each["dtype"]], each["shape"]))
 
 
-def _nested(kind: Any) -> Any:
-    """The same list with the name of elements that other writers use."""
-    if not pa.types.is_fixed_size_list(kind):
-        return kind
-    return pa.list_(pa.field("element", kind.value_type), kind.list_size)
+def _values(table: pa.Table, name: str, kind: pa.DataType, shape: list[int]) -> Iterator[str]:
+    """What is wrong in a column of numbers or strings: its type, missing and infinite values, the lengths of lists.
+
+    Lists may state their length in the type, as our writer does, or in each row, as LeRobot's merge leaves them.
+    """
+    size, column = math.prod(shape), table[name]
+    inner, depth = innermost(column.type)
+    depths = (0,) if shape == [1] else (1, len(shape))
+    if (inner != kind and (kind, inner) != (pa.string(), pa.large_string())) or depth not in depths:
+        yield f"found {_short(str(column.type))}, expected {kind if shape == [1] else pa.list_(kind, size)}"
+        return
+    if number := missing(column):
+        yield f"found {count_text(number, 'missing value')}, expected none"
+        return
+    sizes = row_shape(column)
+    if table.num_rows and sizes not in ((), tuple(shape), (size,)):
+        found = "lists of several lengths" if sizes is None else f"lists of {_size(sizes)}"
+        yield f"found {found}, expected {_size(shape)}"
+    elif pa.types.is_floating(kind) and not np.isfinite(matrix_of(table, name)).all():
+        yield "found values that are not finite, expected numbers"
 
 
 def _own_columns(found: FoundDataSet, episode: FoundEpisode, table: pa.Table, first: int) -> Iterator[str]:
@@ -191,11 +218,15 @@ def _own_columns(found: FoundDataSet, episode: FoundEpisode, table: pa.Table, fi
         if away.max() > TOLERANCE_S or (len(steps) and steps.max() > TOLERANCE_S):
             worst = int(np.argmax(away)) if away.max() > TOLERANCE_S else int(np.argmax(steps)) + 1
             yield f"timestamp: frame {worst}: found {stamps[worst]:.6f} s, expected {worst / fps:.6f} s"
-    if is_numeric(table, "task_index"):
+    if is_numeric(table, "task_index") and episode.tasks:
         known = {number for number, text in found.tasks.items() if text in episode.tasks}
         if unknown := set(matrix_of(table, "task_index")[:, 0].tolist()) - known:
             tasks = _short(" or ".join(map(repr, episode.tasks)))
             yield f"task_index: found {min(unknown)}, expected the number of {tasks}"
+
+
+def _size(sizes: Sequence[int]) -> str:
+    return _short(" × ".join(map(str, sizes)))
 
 
 def _first_difference(name: str, values: Array, expected: Array) -> Iterator[str]:

@@ -13,6 +13,7 @@ from igtl_gateway.addon import GatewayError
 from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addons.lerobot.checking_stats import StatsCheck
 from igtl_gateway.addons.lerobot.episodes import TOLERANCE_S
+from igtl_gateway.addons.lerobot.features import picture_size
 from igtl_gateway.addons.lerobot.reading import FoundDataSet, FoundEpisode, VideoPart
 from igtl_gateway.addons.lerobot.stats import PictureStats, sampled
 from igtl_gateway.addons.lerobot.video import read_video
@@ -30,8 +31,7 @@ def check_videos(found: FoundDataSet, stats: StatsCheck) -> Iterator[str]:
 
 def size_of(found: FoundDataSet, name: str) -> tuple[int, int]:
     """Return rows and columns of a video, as info.json states them."""
-    rows, columns = found.info["features"][name]["shape"][:2]
-    return rows, columns
+    return picture_size(found.info["features"][name])
 
 
 def by_file(found: FoundDataSet, name: str) -> dict[Path, Parts]:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
 from igtl_gateway.addon import GatewayError, LimitExceeded
+from igtl_gateway.addon.terminal import by_count
 from igtl_gateway.addon.untrusted import Deadline, check_limit, open_file, printable, read_bytes
 from igtl_gateway.addon.writing import write_text
 
@@ -46,6 +47,9 @@ def check_checksums(root: Path, deadline: Deadline) -> Iterator[str]:
             wrong.append(f"{place}:{number}: found {printable(line[:80])!r}, expected a SHA-256 and a file of the set")
             continue
         listed.add(path.as_posix())
+        if not (root / path).exists():
+            wrong.append(f"{printable(str(path))}: found no such file, expected that of {place}")
+            continue
         try:
             if _digest(root / path, deadline) != found[1]:
                 wrong.append(f"{path}: found another SHA-256, expected {found[1][:12]}… of {place}: it was changed")
@@ -59,7 +63,8 @@ def check_checksums(root: Path, deadline: Deadline) -> Iterator[str]:
             wrong.append(f"{printable(name)}: found a file that {place} does not list, expected none")
     yield from wrong[:_MOST]
     if len(wrong) > _MOST:
-        yield f"{place}: {len(wrong) - _MOST:,} more files that are missing, changed or not listed"
+        more = by_count(len(wrong) - _MOST, "file that is", "files that are")
+        yield f"{place}: {len(wrong) - _MOST:,} more {more} missing, changed or not listed"
 
 
 def data_files(root: Path) -> list[Path]:

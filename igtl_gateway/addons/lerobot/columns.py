@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+from pyarrow import compute
 
 from igtl_gateway.addon import GatewayError
+from igtl_gateway.addons.lerobot.features import innermost, is_list, is_number
 from igtl_gateway.addons.lerobot.reading import FoundEpisode, read_table
-
-#: Types of features without pictures.
-ARROW = {
-    "float32": pa.float32(),
-    "float64": pa.float64(),
-    "int64": pa.int64(),
-    "string": pa.string(),
-    "bool": pa.bool_(),
-}
 
 
 class Tables:
@@ -50,31 +44,43 @@ def _table_or_error(path: Path) -> pa.Table | GatewayError:
 
 def matrix_of(table: pa.Table, name: str) -> npt.NDArray[Any]:
     """Return a column of which :func:`is_numeric` is true as (N, K) values."""
-    column = table[name]
-    array = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
-    width = column.type.list_size if pa.types.is_fixed_size_list(column.type) else 1
-    flat = array.flatten() if pa.types.is_fixed_size_list(column.type) else array
-    return np.asarray(flat.to_numpy(zero_copy_only=False)).reshape(len(array), width)
+    array, sizes = _flat(table[name])
+    return np.asarray(array.to_numpy(zero_copy_only=False)).reshape(table.num_rows, math.prod(sizes or ()))
 
 
 def is_numeric(table: pa.Table, name: str) -> bool:
     """Return whether a column is there, with numbers or lists of one length of them, and none is missing."""
-    return name in table.schema.names and is_form(table.schema.field(name).type) and not missing(table[name])
+    if name not in table.schema.names or not is_number(innermost(table.schema.field(name).type)[0]):
+        return False
+    sizes = None if missing(table[name]) else row_shape(table[name])
+    return sizes is not None and all(sizes)
 
 
-def is_form(kind: pa.DataType) -> bool:
-    """Return whether a type is a number, or a list of one length of them."""
-    if pa.types.is_fixed_size_list(kind):
-        return kind.list_size > 0 and is_number(kind.value_type)
-    return is_number(kind)
-
-
-def is_number(kind: pa.DataType) -> bool:
-    """Return whether a type is a number."""
-    return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind))
+def row_shape(column: pa.ChunkedArray) -> tuple[int, ...] | None:
+    """Return the lengths of the lists in each row, from the outer ones on: () of plain numbers; None if they differ."""
+    return _flat(column)[1]
 
 
 def missing(column: pa.ChunkedArray) -> int:
     """Return the number of cells, and of numbers in their lists, that are null."""
-    inner = (chunk.flatten().null_count for chunk in column.chunks if pa.types.is_fixed_size_list(column.type))
-    return int(column.null_count + sum(inner))
+    count, chunks = 0, column.chunks
+    while chunks:
+        count += sum(chunk.null_count for chunk in chunks)
+        chunks = [chunk.flatten() for chunk in chunks if is_list(chunk.type)]
+    return count
+
+
+def _flat(column: pa.ChunkedArray) -> tuple[pa.Array, tuple[int, ...] | None]:
+    """The values in the innermost lists of a column without nulls, and the lengths of its lists."""
+    array = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
+    sizes: tuple[int, ...] | None = ()
+    while is_list(array.type):
+        if pa.types.is_fixed_size_list(array.type):
+            size, are_equal = array.type.list_size, True
+        else:
+            lengths = compute.list_value_length(array).to_numpy(zero_copy_only=False)
+            size = int(lengths[0]) if len(lengths) else 0
+            are_equal = bool((lengths == size).all())
+        sizes = (*sizes, size) if are_equal and sizes is not None else None
+        array = array.flatten()
+    return array, sizes

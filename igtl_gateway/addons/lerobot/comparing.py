@@ -19,8 +19,9 @@ from igtl_gateway.addon.untrusted import parquet_columns, printable
 from igtl_gateway.addons.lerobot.assembling import provenance_of
 from igtl_gateway.addons.lerobot.checking import check_rules, first_findings
 from igtl_gateway.addons.lerobot.checking_stats import numbers_of
-from igtl_gateway.addons.lerobot.columns import Tables, is_number, is_numeric, matrix_of
+from igtl_gateway.addons.lerobot.columns import Tables, is_numeric, matrix_of
 from igtl_gateway.addons.lerobot.comparing_pictures import PictureCheck
+from igtl_gateway.addons.lerobot.features import is_number
 from igtl_gateway.addons.lerobot.frames import Episode, Place, Plan, build
 from igtl_gateway.addons.lerobot.native import native_name, native_of, native_rows, native_table
 from igtl_gateway.addons.lerobot.parts import content_digest
@@ -28,7 +29,6 @@ from igtl_gateway.addons.lerobot.reading import FoundDataSet, read_total_stats
 from igtl_gateway.addons.lerobot.recipe import STAMPS, TIME, Recipe
 from igtl_gateway.addons.lerobot.recipe_file import read_recipe
 from igtl_gateway.addons.lerobot.session_list import SESSIONS, SessionList, read_session_list
-from igtl_gateway.addons.lerobot.splits import ranges_of
 from igtl_gateway.addons.lerobot.stats import QUANTILES, PictureStats, Stats, number_stats
 from igtl_gateway.addons.lerobot.writing import RECIPE, facts_of, own_columns, trace_of
 
@@ -54,14 +54,14 @@ class Checked:
 
 
 def check(root: Path, paths: Sequence[Path]) -> Checked:
-    """Check a data set against the published rules and against its recordings, which may come in any order.
+    """Check a data set against the published rules, and against those of its recordings that are given, in any order.
 
     Raises GatewayError: a recording cannot be read.
     """
-    found, findings = check_rules(root)
-    if found is None:
-        return Checked(None, findings)
     notes: list[str] = []
+    found, findings = check_rules(root, notes)
+    if found is None or not paths:
+        return Checked(found, findings, notes)
     try:
         recipe, listed = read_recipe(root / "meta" / RECIPE), read_session_list(root)
     except GatewayError as error:
@@ -89,7 +89,7 @@ def _sessions(
     """Compare the sessions of a set with those recordings that they are of."""
     sessions = listed.sessions if listed else ()
     if sum(each.episodes for each in sessions) != len(found.episodes) and listed:
-        yield f"meta/{SESSIONS}: found other episodes than in the metadata, expected {len(found.episodes):,}"
+        notes.append("the recordings were not compared: the set has other episodes than at its export")
         return
     given: dict[str, Path] = {}
     for path in paths:
@@ -97,7 +97,7 @@ def _sessions(
     if listed is None or len(sessions) == len(paths) == 1:
         yield from _session(found, recipe, Place(), 0, paths[0], _Totals(), is_whole=len(paths) == 1)
         return
-    yield from _splits_of_sessions(found, listed, recipe)
+    yield from _groups(listed, recipe)
     totals, episode, frame, compared = _Totals(), 0, 0, 0
     names = {each.row: each.names for each in listed.rows if each.names}
     for number, each in enumerate(sessions):
@@ -122,12 +122,8 @@ def _sessions(
         yield from _totals(found, totals)
 
 
-def _splits_of_sessions(found: FoundDataSet, listed: SessionList, recipe: Recipe) -> Iterator[str]:
-    """Splits that are not those of the sessions, and groups in two splits."""
-    splits = [each.split for each in listed.sessions for _ in range(each.episodes)]
-    expected = ranges_of(splits)
-    if "" not in expected and found.info["splits"] != expected:
-        yield f"meta/info.json: splits: found {_short(found.info['splits'])}, expected {_short(expected)}"
+def _groups(listed: SessionList, recipe: Recipe) -> Iterator[str]:
+    """Groups in two splits."""
     owners: dict[str, str] = {}
     for each in listed.sessions:
         if owners.setdefault(each.group, each.split) != each.split and recipe.splits:

@@ -21,6 +21,4 @@ def add_lerobot(parser: argparse.ArgumentParser) -> None:
         type=output_file(".toml"),
         help="write a starting recipe, made of the recording's streams",
     )
-    group.add_argument(
-        "--check", metavar="DIR", type=Path, help="check a data set against the format and against the recording"
-    )
+    group.add_argument("--check", metavar="DIR", type=Path, help="check a data set, also against its recordings")

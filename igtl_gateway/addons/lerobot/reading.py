@@ -16,9 +16,13 @@ from igtl_gateway.addon import DamagedRecording
 from igtl_gateway.addon.messages import MAX_PIXELS
 from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addon.untrusted import check_limit, parse_json, read_bytes, read_parquet, shape
+from igtl_gateway.addons.lerobot.checksums import CHECKSUMS
+from igtl_gateway.addons.lerobot.features import VIDEO, is_list, is_picture, picture_size
 from igtl_gateway.addons.lerobot.frames import MAX_FRAMES
 from igtl_gateway.addons.lerobot.layout import CHUNK, PATHS
 from igtl_gateway.addons.lerobot.recipe_file import MAX_FPS
+from igtl_gateway.addons.lerobot.session_list import SESSIONS
+from igtl_gateway.addons.lerobot.writing import PROVENANCE, RECIPE
 
 #: Numbers of a feature in a frame: none of a robot has more.
 _MAX_NUMBERS = 1 << 20
@@ -61,8 +65,14 @@ _PANDAS = shape.fields(
     ("index_columns", "column_indexes", "columns"),
 )
 _TEXT = frozenset({"object", "str", "string", "unicode"})
+#: Columns with the text of the tasks: by the name of the index, and without one, as LeRobot wrote it until 0.4.
+_TASK_COLUMNS = ("task", "__index_level_0__")
 #: Column of the tasks, None for the names of the columns → its types in pandas.
-_PANDAS_TYPES = {"task_index": frozenset({"int64"}), "task": _TEXT, None: _TEXT}
+_PANDAS_TYPES: dict[str | None, frozenset[str]] = {
+    "task_index": frozenset({"int64"}), None: _TEXT, **dict.fromkeys(_TASK_COLUMNS, _TEXT),
+}  # fmt: skip
+#: Files that only our sets have.
+_OWN = (SESSIONS, RECIPE, PROVENANCE, CHECKSUMS)
 _STATS = shape.fields(
     {"episode_index": shape.number, "stats": shape.map_of(shape.map_of(shape.anything))}, ("episode_index", "stats")
 )
@@ -82,7 +92,7 @@ class FoundEpisode:
     """An episode as its files state it.
 
     Attributes:
-        index, length, tasks: as stated.
+        index, length, tasks: as stated; LeRobot's conversion of pictures to videos leaves out the tasks.
         data: Parquet file, and first and last row (half-open), of which None is the whole file.
         rows: see ``data``.
         videos: feature → its part of a video.
@@ -122,7 +132,12 @@ class FoundDataSet:
     @property
     def videos(self) -> list[str]:
         """The features with a video."""
-        return [name for name, each in self.info["features"].items() if each["dtype"] == "video"]
+        return [name for name, each in self.info["features"].items() if each["dtype"] == VIDEO]
+
+    @property
+    def is_ours(self) -> bool:
+        """Whether it was exported by this program, also if another one has changed it."""
+        return any((self.root / "meta" / each).exists() for each in _OWN)
 
 
 def read_data_set(root: Path) -> FoundDataSet:
@@ -131,15 +146,17 @@ def read_data_set(root: Path) -> FoundDataSet:
     version = info["codebase_version"]
     if version not in PATHS:
         raise shape.wrong(f"{root}/meta/info.json: codebase_version", version, f"one of {', '.join(PATHS)}")
+    videos = [name for name, each in info["features"].items() if each["dtype"] == VIDEO]
     for key, template in PATHS[version].items():
-        if info.get(key, template) != template:
+        found = info.get(key, template)
+        if found != template and not (key == "video_path" and found is None and not videos):
             raise shape.wrong(f"{root}/meta/info.json: {key}", info[key], template)
     if not 1 <= info["fps"] <= MAX_FPS:
         raise shape.wrong(f"{root}/meta/info.json: fps", info["fps"], f"1 to {MAX_FPS}")
     for name, each in info["features"].items():
         _check_feature(name, each, f"{root}/meta/info.json: features")
     read = _version21 if version == "v2.1" else _version30
-    tasks, episodes = read(root, [name for name, each in info["features"].items() if each["dtype"] == "video"])
+    tasks, episodes = read(root, videos)
     frames = sum(each.length for each in episodes)
     if frames > MAX_FRAMES:
         raise shape.wrong(f"{root}/meta: frames of all episodes", frames, f"at most {MAX_FRAMES:,}")
@@ -150,8 +167,8 @@ def _check_feature(name: str, feature: Mapping[str, Any], place: str) -> None:
     if "/" in name or "\\" in name or name in ("", ".", ".."):
         raise shape.wrong(place, name, "a name without slash")
     sizes = feature["shape"]
-    if feature["dtype"] == "video":
-        if len(sizes) != 3 or not 0 < math.prod(sizes[:2]) <= MAX_PIXELS:
+    if is_picture(feature):
+        if len(sizes) != 3 or not 0 < math.prod(picture_size(feature)) <= MAX_PIXELS:
             raise shape.wrong(
                 f"{place}.{name}.shape", sizes, f"rows, columns and channels, of at most {MAX_PIXELS:,} pixels"
             )
@@ -223,9 +240,13 @@ def _version21(root: Path, videos: list[str]) -> tuple[dict[int, str], list[Foun
 
 def _version30(root: Path, videos: list[str]) -> tuple[dict[int, str], list[FoundEpisode]]:
     table = read_table(root / "meta" / "tasks.parquet")
-    rows = _rows(root / "meta" / "tasks.parquet", ["task_index", "task"], table)
-    _check_index(table, f"{root}/meta/tasks.parquet: metadata pandas")
-    for number, row in enumerate(rows):
+    text = next((each for each in _TASK_COLUMNS if each in table.schema.names), _TASK_COLUMNS[0])
+    named = [
+        {"task_index": row["task_index"], "task": row[text]}
+        for row in _rows(root / "meta" / "tasks.parquet", ["task_index", text], table)
+    ]
+    _check_index(table, text, f"{root}/meta/tasks.parquet: metadata pandas")
+    for number, row in enumerate(named):
         _TASK(row, f"{root}/meta/tasks.parquet: row {number}")
     found: list[FoundEpisode] = []
     begins: dict[tuple[int, int], int] = {}  # first frame of each data file
@@ -233,23 +254,24 @@ def _version30(root: Path, videos: list[str]) -> tuple[dict[int, str], list[Foun
         table = read_table(path)
         check_limit("count", len(found) + table.num_rows, f"{path}: episodes")
         found += _episodes(root, path, table, videos, begins)
-    return _numbered(root / "meta" / "tasks.parquet", rows), found
+    return _numbered(root / "meta" / "tasks.parquet", named), found
 
 
-def _check_index(table: pa.Table, place: str) -> None:
-    """Raise DamagedRecording unless pandas makes the text of the tasks the index of their table."""
+def _check_index(table: pa.Table, text: str, place: str) -> None:
+    """Raise DamagedRecording unless pandas makes the text of the tasks, a column, the index of their table."""
     found = parse_json(_utf8((table.schema.metadata or {}).get(b"pandas", b"{}"), place), place)
     _PANDAS(found, place)
-    if found["index_columns"] != ["task"]:
-        raise shape.wrong(f"{place}.index_columns", found["index_columns"], '["task"]')
+    if found["index_columns"] != [text]:
+        raise shape.wrong(f"{place}.index_columns", found["index_columns"], f'["{text}"]')
     for part, names in (("columns", sorted(table.schema.names)), ("column_indexes", [None])):
         columns = found[part]
-        if sorted(map(repr, (each["name"] for each in columns))) != sorted(map(repr, names)):
-            raise shape.wrong(f"{place}.{part}", [each["name"] for each in columns], f"the names {names}")
+        if sorted(map(repr, (each["field_name"] for each in columns))) != sorted(map(repr, names)):
+            raise shape.wrong(f"{place}.{part}", [each["field_name"] for each in columns], f"the names {names}")
         for each in columns:
-            types = _PANDAS_TYPES.get(each["name"], frozenset())
-            if each["field_name"] != each["name"] or not {each["pandas_type"], each["numpy_type"]} <= types:
-                raise shape.wrong(f"{place}.{part}", each, f"{each['name']} of the type {min(types, default='')}")
+            name, types = each["field_name"], _PANDAS_TYPES.get(each["field_name"], frozenset())
+            known = None if name == _TASK_COLUMNS[1] else name  # an index without a name
+            if each["name"] != known or not {each["pandas_type"], each["numpy_type"]} <= types:
+                raise shape.wrong(f"{place}.{part}", each, f"{name} of the type {min(types, default='')}")
 
 
 def _numbered(path: Path, rows: list[Any]) -> dict[int, str]:
@@ -278,10 +300,10 @@ def _episodes(
     root: Path, path: Path, table: pa.Table, videos: list[str], begins: dict[tuple[int, int], int]
 ) -> Iterator[FoundEpisode]:
     indices = ["data/chunk_index", "data/file_index", "dataset_from_index", "dataset_to_index"]
-    names = ["episode_index", "tasks", "length", *indices]
+    names = ["episode_index", "length", *indices, *({"tasks"} & set(table.schema.names))]
     names += [f"videos/{name}/{each}" for name in videos for each in _VIDEO]
-    for number, row in enumerate(_rows(path, names, table)):
-        place = f"{path}: row {number}"
+    for number, stated in enumerate(_rows(path, names, table)):
+        row, place = {"tasks": [], **stated}, f"{path}: row {number}"
         _EPISODE(row, place)
         for name in indices:
             shape.number(row[name], f"{place}: {name}")
@@ -311,13 +333,9 @@ def _stats_of(table: pa.Table, row: int) -> dict[str, dict[str, Any]]:
 
 def _leaves(column: pa.ChunkedArray) -> int:
     """The values in all lists of a column."""
-    while column.num_chunks and _is_list(column.type):
+    while column.num_chunks and is_list(column.type):
         column = pa.chunked_array([chunk.flatten() for chunk in column.chunks])
     return len(column)
-
-
-def _is_list(kind: pa.DataType) -> bool:
-    return bool(pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind))
 
 
 def _parts(root: Path, row: Mapping[str, Any], videos: list[str], place: str) -> Iterator[tuple[str, VideoPart]]:

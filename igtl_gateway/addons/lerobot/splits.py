@@ -20,6 +20,9 @@ MOST_LISTED = 10
 #: In ``splits.patient``: where the path of a session has the patient.
 PATIENT = "{patient}"
 TRAIN = "train"
+#: Range of episodes of a split, and ranges of a split that are read.
+RANGE = re.compile(r"([0-9]{1,9}):([0-9]{1,9})")
+MOST_RANGES = 10_000
 Value = str | float | tuple[str, ...]
 
 
@@ -133,6 +136,17 @@ def ranges_of(splits: Sequence[str]) -> dict[str, str]:
     return {name: ",".join(f"{start}:{end}" for start, end in ranges) for name, ranges in found.items()}
 
 
+def owners_of(splits: Mapping[str, str], count: int) -> list[str]:
+    """Return the split of each of ``count`` episodes, as info.json has them; "": none.  Wrong ranges are left out."""
+    found = [""] * count
+    for name, text in splits.items():
+        for part in text.split(",", MOST_RANGES):
+            if numbers := RANGE.fullmatch(part):
+                first, last = min(int(numbers[1]), count), min(int(numbers[2]), count)
+                found[first:last] = [name] * max(last - first, 0)
+    return found
+
+
 def splits_of(ranges: Mapping[str, str] | None, demonstrations: int, owners: Sequence[int]) -> dict[str, str]:
     """Return the range of episodes of each split of one session.
 
@@ -180,6 +194,19 @@ def divided(owners: Sequence[int]) -> dict[int, list[int]]:
     for episode, owner in enumerate(owners):
         found.setdefault(owner, []).append(episode)
     return {owner: episodes for owner, episodes in found.items() if len(episodes) > 1}
+
+
+def runs(numbers: Sequence[int]) -> str:
+    """Return rising numbers as text, those in a row by the first and the last one."""
+    found: list[list[int]] = []
+    for number in numbers:
+        if found and found[-1][1] == number - 1:
+            found[-1][1] = number
+        else:
+            found.append([number, number])
+    more = f" and {len(found) - MOST_LISTED:,} more" if len(found) > MOST_LISTED else ""
+    texts = [str(first) if first == last else f"{first} to {last}" for first, last in found[:MOST_LISTED]]
+    return ", ".join(texts) + more
 
 
 def listed(numbers: Sequence[int]) -> str:

@@ -48,6 +48,8 @@ def run_lerobot(options: argparse.Namespace) -> int:
         raise ConfigError(
             f"--streams: found it with --to {LEROBOT}, expected the streams in the recipe, or --write-recipe"
         )
+    if not options.files and not options.check:
+        raise ConfigError(f"--to {LEROBOT}: found no recording, expected one or more")
     with extras.in_use(LEROBOT):
         if options.write_recipe:
             return _write_recipe(options)
@@ -83,9 +85,9 @@ def _check(options: argparse.Namespace) -> int:
     checked = check(options.check, options.files)
     findings = checked.findings
     if options.json:
-        files = {"file": str(options.files[0])} | (
-            {"files": list(map(str, options.files))} if options.files[1:] else {}
-        )
+        files: dict[str, Any] = {"file": str(options.files[0])} if options.files else {}
+        if options.files[1:]:
+            files["files"] = list(map(str, options.files))
         print_json({**files, "to": LEROBOT, "check": str(options.check), "findings": findings, "notes": checked.notes})
     else:
         for each in findings:

@@ -282,7 +282,7 @@ BAD: list[tuple[str, Callable[[Path], Any], str]] = [
     ("width", feature("action", shape=[6], names=None), "action: found 35 numbers in 5 rows, expected 6 in each"),
     ("text", feature("observation.meta.trial", dtype="float32"), "meta.trial: found string, expected numbers"),
     ("number", feature("action", dtype="string"), "action: found fixed_size_list"),
-    ("picture", feature("action", dtype="image"), "action: "),
+    ("picture", feature("action", dtype="image"), "action.shape: found [7], expected rows, columns and channels"),
     ("out of the folder", feature("../../x", **NUMBERS), 'found "../../x", expected a name without slash'),
     ("path", info(data_path="/etc/{episode_index}.parquet"), "data_path: found"),
     ("rate", info(fps=10**15), "fps: found 1000000000000000, expected 1 to 1000"),
