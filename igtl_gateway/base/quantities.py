@@ -55,6 +55,16 @@ def duration_text(ns: float) -> str:
     return f"{years:,.0f} years"
 
 
+def seconds_text(seconds: float) -> str:
+    """A duration of a clock that runs, in whole seconds: ``42 s``, ``3 min 20 s``."""
+    return duration_text(round(seconds) * NS_PER_S)
+
+
+def moment_text(ns: float) -> str:
+    """The time since the start of a session, as ``--at`` and ``--start`` take it: ``12.345 s``."""
+    return f"{ns / NS_PER_S:.3f} s"
+
+
 def offset_text(ns: float) -> str:
     """A duration with its sign: ``+12.3 ms``, ``-331 days``."""
     return f"{'-' if ns < 0 else '+' if ns else ''}{duration_text(ns)}"

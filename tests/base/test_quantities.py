@@ -5,7 +5,15 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from igtl_gateway.base.quantities import count_text, duration_text, offset_text, rate_text, size_text
+from igtl_gateway.base.quantities import (
+    count_text,
+    duration_text,
+    moment_text,
+    offset_text,
+    rate_text,
+    seconds_text,
+    size_text,
+)
 from tests.tables import table
 
 S = 1_000_000_000
@@ -54,6 +62,8 @@ def test_no_duration_has_more_than_four_digits_or_a_wrong_unit(ns: int) -> None:
 
 def test_offsets_sizes_rates_and_counts() -> None:
     assert [offset_text(ns) for ns in (-119_200_000, 0, 5 * S)] == ["-119.2 ms", "0 s", "+5 s"]
+    assert [seconds_text(each) for each in (0.4, 59.4, 3599, 90_000)] == ["0 s", "59 s", "59 min 59 s", "25 h"]
+    assert [moment_text(ns) for ns in (0, 12_345_600_000, -S)] == ["0.000 s", "12.346 s", "-1.000 s"]
     assert [size_text(number) for number in (0, 812, 9_600_000, 2.5e13)] == ["0 B", "812 B", "9.6 MB", "25.0 TB"]
     assert [rate_text(hertz) for hertz in (0.0213, 29.97, 100, 1200)] == ["0.021 Hz", "30.0 Hz", "100.0 Hz", "1.2 kHz"]
     assert [count_text(number, "entry", "entries") for number in (0, 1, 1234)] == [

@@ -12,6 +12,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
+from igtl_gateway.addon.terminal import natural
 from igtl_gateway.addon.untrusted import files, limits, parse_yaml
 
 METADATA = "metadata.yaml"
@@ -109,7 +110,9 @@ def storage_files(folder: Path, metadata: BagMetadata) -> list[Path]:
         raise DamagedRecording(f"{folder}: found no {', '.join(missing[:5])}{more}, which {METADATA} names")
     if names:
         return [files.sibling_file(folder / METADATA, name) for name in names]
-    found = sorted((file for file in folder.iterdir() if file.name.endswith(_SUFFIXES)), key=_natural)
+    found = sorted(
+        (file for file in folder.iterdir() if file.name.endswith(_SUFFIXES)), key=lambda file: natural(file.name)
+    )
     if not found:
         raise UnsupportedRecording(f"{folder}: found no .mcap or .db3 file, expected a rosbag2 recording")
     return found
@@ -120,12 +123,6 @@ def _exists(path: Path) -> bool:
         return path.exists() or path.is_symlink()
     except (OSError, ValueError):  # the name is invalid for files
         return False
-
-
-def _natural(path: Path) -> list[tuple[int, str]]:
-    """Return a sort key by which ``bag_10`` is after ``bag_9``."""
-    words = re.split(r"([0-9]{1,18})", path.name)
-    return [(int(word), "") if word.isascii() and word.isdigit() else (0, word) for word in words]
 
 
 class _ShapeReader:

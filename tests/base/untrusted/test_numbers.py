@@ -100,7 +100,6 @@ _DIGITS = {
     "addons/cohort/query.py": "the last character of a number that DuckDB printed",
     "convert/names.py": "the first character of a name",
     "addons/exchange/raster.py": "integers with a sign, of at most 18 digits",
-    "addons/exchange/rosbag2_metadata.py": "at most 18 digits by its regular expression",
     "addons/lerobot/checking.py": "a range of episodes",
     "config/notations.py": "an octal mode of at most 4 digits",
     "record/sessionfile/facts.py": "decimal numbers of at most 30 characters",
