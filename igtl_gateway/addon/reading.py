@@ -79,6 +79,7 @@ if TYPE_CHECKING:
     from igtl_gateway.replay.rows import rows_of_entries as rows_of_entries
     from igtl_gateway.replay.source import check_recorded as check_recorded
     from igtl_gateway.replay.source import through_gateway as through_gateway
+    from igtl_gateway.replay.source import without_messages as without_messages
     from igtl_gateway.replay.stamp_places import StampPlaces as StampPlaces
     from igtl_gateway.replay.state_before import latched_before as latched_before
     from igtl_gateway.replay.state_before import messages_before as messages_before
@@ -118,7 +119,7 @@ HOMES: Homes = (
     ("replay.recorded_marks", "carry_marks marked_moment marks_of"),
     ("record.sessionfile.seals", "stated_seals"),
     # Its entries as they were before, and through a gateway
-    ("replay.source", "check_recorded through_gateway"),
+    ("replay.source", "check_recorded through_gateway without_messages"),
     ("replay.state_before", "latched_before messages_before notes_before with_state"),
     # MCAP files of other programs: their index and records
     ("record.sessionfile", "records"),

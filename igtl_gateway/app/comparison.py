@@ -15,7 +15,7 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import LeafDecoder, Tolerance
 from igtl_gateway.replay.diff import DiffInput, StreamDiff, diff
 from igtl_gateway.replay.recorded_config import config_to_run, units_of
-from igtl_gateway.replay.source import check_recorded
+from igtl_gateway.replay.source import check_recorded, without_messages
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,8 @@ def compare_recordings(one: Path, other: Path, streams: Sequence[str], tolerance
         streams: globs of the streams to compare; empty = all, with notes.
         tolerance: differences that count as equal.
 
-    Raises UnsupportedRecording, DamagedRecording, and ConfigError if no stream matches.
+    Raises UnsupportedRecording, DamagedRecording, ConfigError if no stream matches, and GatewayError if nothing of
+    a recording can be read.
     """
     with SessionFile.open(one) as first, SessionFile.open(other) as second:
         return compare_sessions(first, second, streams, tolerance)
@@ -81,6 +82,9 @@ def compare_sessions(
     one: SessionFile, other: SessionFile, streams: Sequence[str], tolerance: Tolerance
 ) -> RecordingDiff:
     """Compare two open recordings; see `compare_recordings`."""
+    for file in (one, other):
+        if not file.entry_count and any(each.count for each in file.skipped):
+            raise without_messages(file)  # "equal" would be about nothing
     if faults := check_recorded([one, other], streams, "streams"):
         raise ConfigError("; ".join(faults))  # "equal" would be about fewer streams than were asked for
     foreign = one.foreign is not other.foreign

@@ -38,6 +38,7 @@ from igtl_gateway.replay.recorded_marks import marked_moment, marks_of
 from igtl_gateway.replay.restamp import Restamper
 from igtl_gateway.replay.shared_names import shared_names
 from igtl_gateway.replay.simclock import period_ns, with_ticks
+from igtl_gateway.replay.source import without_messages
 from igtl_gateway.replay.timeline import SessionTimeline, clock_steps_of
 
 
@@ -150,6 +151,8 @@ def run_replay(path: Path, options: ReplayOptions, stop: Event, events: ReplayEv
     clock_ns = None if options.clock_hz is None else period_ns(options.clock_hz)
     results: list[ReplayResult] = []
     with SessionFile.open(path) as file, ExitStack() as at_end, ExitStack() as stack:
+        if not file.entry_count:
+            raise without_messages(file)  # before it waits for a receiver
         start_ns, end_ns = _part(options, file)
         config = with_sends(config_to_run(file.session, options.config), options.send)
         if options.side and config.relay:

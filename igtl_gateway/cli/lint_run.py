@@ -13,11 +13,14 @@ from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.doctor.report import DoctorReport
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.salvage import Salvage
+from igtl_gateway.replay.source import without_messages
 
 
 def run(options: argparse.Namespace) -> int:
     try:
         with SessionFile.open(options.file) as file:
+            if not file.entry_count and any(each.count for each in file.skipped):
+                raise without_messages(file)
             seen = observe(file, options.config)
         if is_present("sync"):
             seen.lags = part_of("sync", "pointing:late_streams")(options.file)

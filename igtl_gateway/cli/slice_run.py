@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from igtl_gateway.base.errors import ConfigError, UnsupportedRecording
+from igtl_gateway.base.errors import ConfigError, GatewayError, UnsupportedRecording
 from igtl_gateway.base.qos import Qos
-from igtl_gateway.base.quantities import count_text, size_text
+from igtl_gateway.base.quantities import count_text, moment_text, size_text
 from igtl_gateway.base.untrusted.files import is_same
 from igtl_gateway.base.version import __version__
 from igtl_gateway.cli.terminal import print_json, print_line
@@ -26,7 +26,7 @@ from igtl_gateway.replay.recorded_config import absent_sources, config_to_run
 from igtl_gateway.replay.recorded_marks import carry_marks, marked_moment, marks_of
 from igtl_gateway.replay.slice import Slice, SliceReport
 from igtl_gateway.replay.slice_state import SliceWindow
-from igtl_gateway.replay.source import check_recorded
+from igtl_gateway.replay.source import check_recorded, without_messages
 
 
 def run(options: argparse.Namespace) -> int:
@@ -42,6 +42,8 @@ def run(options: argparse.Namespace) -> int:
             raise UnsupportedRecording(
                 f"{options.file}: found an MCAP file of another program, expected a session of igtl-gateway"
             )
+        if not file.entry_count:
+            raise without_messages(file)
         if is_same(options.output, options.file):
             raise ConfigError(f"{options.output}: found the recording itself, expected another file to write to")
         marks = partial(marks_of, file)
@@ -65,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
             file.entries, config, window, file.entries_starting_at, file.prologue(), file.columns, message_counts(file)
         )
         wanted = [mark for mark in marks() if _is_in(mark, window)]
-        _write(file, part, window, options)
+        _write(file, part, window, options, has_marks=bool(wanted))
         # the window may begin before the first message in it, and end behind the last one
         carry_marks(options.output, _unlogged(wanted, options.output, window.start_ns), only_within=False)
         if options.json:
@@ -90,7 +92,9 @@ def _unlogged(marks: Sequence[Mark], part: Path, start_ns: int) -> list[Mark]:
     ]
 
 
-def _write(file: SessionFile, part: Slice, window: SliceWindow, options: argparse.Namespace) -> None:
+def _write(
+    file: SessionFile, part: Slice, window: SliceWindow, options: argparse.Namespace, *, has_marks: bool
+) -> None:
     qos = {(channel.topic, channel.type): channel.qos for channel in file.channels}
 
     def qos_of(topic: str, ros_type: str) -> Qos | None:
@@ -119,6 +123,12 @@ def _write(file: SessionFile, part: Slice, window: SliceWindow, options: argpars
         part.write(writer)
         losses = {} if file.foreign else layout.declared_losses(file.ledger)
         writer.close({"streams": part.report.ledger, **losses})
+        if not (part.report.inputs or part.report.outputs or has_marks):
+            begin, end = (
+                moment_text(each - file.start_ns) for each in (window.start_ns, min(window.end_ns, file.end_ns))
+            )
+            where = f"{', '.join(window.globs) or 'any stream'} from {begin} to {end}"
+            raise GatewayError(f"{file.path}: found no message of {where}, expected at least one")
 
 
 def _facts(report: SliceReport) -> dict[str, object]:

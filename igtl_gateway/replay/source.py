@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 
-from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError, GatewayError
 from igtl_gateway.base.globs import matches
 from igtl_gateway.base.near import streams_expected, unmatched, without_match
+from igtl_gateway.base.quantities import count_text
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway import LINK_UP, Session, make_core
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -145,11 +146,21 @@ def check_recorded(files: Sequence[SessionFile], globs: Sequence[str], place: st
     )
 
 
+def without_messages(file: SessionFile) -> GatewayError:
+    """Return the error about a recording without an entry that can be read: what it has instead."""
+    left = [f"{each.topic}: {count_text(each.count, 'message')}, {each.why}" for each in file.skipped[:_NAMED]]
+    more = [f"{len(file.skipped) - _NAMED:,} more"] if len(file.skipped) > _NAMED else []
+    found = f"no messages that can be read ({'; '.join([*left, *more])})" if left else "no messages"
+    return GatewayError(f"{file.path}: found {found}, expected at least one")
+
+
 def matches_any(name: str, globs: Sequence[str]) -> bool:
     """Return whether a name matches one of the globs, or there is no glob."""
     return not globs or any(matches(glob, name) for glob in globs)
 
 
+#: Channels that an error lists.
+_NAMED = 3
 _IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
 _MESSAGES = _IGTL | {Kind.ROS_IN, Kind.ROS_OUT}
 _INPUTS = frozenset(kind for kind in Kind if kind.is_input)

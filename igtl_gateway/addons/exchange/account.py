@@ -87,3 +87,9 @@ class ExportAccount:
             row = self._by_part[key] = ExportedStream(entry.channel, 0, entry.type, unit=unit)
             self.parts.append(row)
         return row
+
+
+def first_few(texts: list[str], most: int, separator: str = ", ") -> str:
+    """Return the first few strings, and the number of the others."""
+    more = [f"{len(texts) - most:,} more"] if len(texts) > most else []
+    return separator.join([*texts[:most], *more])

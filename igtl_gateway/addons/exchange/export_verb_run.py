@@ -19,7 +19,7 @@ from igtl_gateway.addon.terminal import (
     print_json,
     print_line,
 )
-from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
+from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream, first_few
 from igtl_gateway.addons.exchange.export_verb_options import LEROBOT, LEROBOT_ROW
 from igtl_gateway.addons.exchange.selection import bare_glob, sides_without_match
 from igtl_gateway.addons.exchange.source import MESSAGES
@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
     written = sum(row.taken for row in account.rows)
     if not written:
         reasons = [f"{row.stream}: {row.why}" for row in account.rows if row.why]
-        why = f" ({_first_few(reasons, 3, '; ')})" if reasons else ""
+        why = f" ({first_few(reasons, 3, '; ')})" if reasons else ""
         raise GatewayError(
             f"{options.file}: found no messages for {options.to}; see `igtl-gateway info`, and --streams{why}"
         )
@@ -132,15 +132,9 @@ def _print(account: ExportAccount, options: argparse.Namespace) -> None:
     print_line(*aligned(table, left=2, indent="", text=True))
     if account.others:
         others = count_text(sum(account.others.values()), "message")
-        print_line(f"note: {others} of types that {options.to} cannot store: {_first_few(sorted(account.others), 20)}")
+        print_line(f"note: {others} of types that {options.to} cannot store: {first_few(sorted(account.others), 20)}")
     for note in account.notes:
         print_line(f"note: {note}")
-
-
-def _first_few(texts: list[str], most: int, separator: str = ", ") -> str:
-    """Return the first few strings, and the number of the others."""
-    more = [f"{len(texts) - most:,} more"] if len(texts) > most else []
-    return separator.join([*texts[:most], *more])
 
 
 def _as_json(row: ExportedStream) -> dict[str, Any]:

@@ -9,8 +9,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import ConfigError, DamagedRecording, WireError, __version__
-from igtl_gateway.addon.reading import layout
+from igtl_gateway.addon import ConfigError, DamagedRecording, GatewayError, WireError, __version__
+from igtl_gateway.addon.reading import Kind, layout
 from igtl_gateway.addon.settings import Config
 from igtl_gateway.addon.terminal import (
     aligned,
@@ -21,14 +21,20 @@ from igtl_gateway.addon.terminal import (
 )
 from igtl_gateway.addon.untrusted import is_same
 from igtl_gateway.addon.writing import SessionWriter, written
+from igtl_gateway.addons.exchange.account import first_few
 from igtl_gateway.addons.exchange.formats import open_source
 from igtl_gateway.addons.exchange.source import ImportedStream, Source, numbered
+
+#: Entries that are no messages.
+_FACTS = (Kind.LINK, Kind.EDGE_NOTE)
+#: Streams that an error lists.
+_NAMED = 3
 
 
 def run(options: argparse.Namespace) -> int:
     if is_same(options.output, options.source):
         raise ConfigError(f"--output: found {options.output}, which is the source, expected another file")
-    failure = ""
+    failure, messages = "", 0
     with (
         closing(open_source(options.source, options.epoch, options.episodes)) as source,
         written(options.output, overwrite=options.overwrite) as place,
@@ -41,11 +47,15 @@ def run(options: argparse.Namespace) -> int:
                 writer.add_beside(each)
             for entry in numbered(source.items()):
                 writer.write(entry)
+                messages += entry.kind not in _FACTS
         except (DamagedRecording, WireError, layout.LayoutError) as error:
             failure = str(error)
         writer.close({"import": {"rows": [_row_facts(row) for row in source.rows], "failure": failure}})
+        if not messages and not failure:
+            raise _nothing(options.source, source.rows)
         size = place.stat().st_size
-        if failure and not options.partial:
+        is_kept = not failure or bool(options.partial and messages)
+        if not is_kept:
             place.unlink()
     good = not failure and all(row.good for row in source.rows)
     notes = source.notes + [
@@ -57,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
         "file": str(options.output),
         "good": good,
         "entries": writer.entries,
-        "bytes": 0 if failure and not options.partial else size,
+        "bytes": size if is_kept else 0,
         "rows": [_row_facts(row) for row in source.rows],
         "notes": notes,
         "failure": failure,
@@ -65,8 +75,15 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(facts)
     else:
-        _print(source, facts)
+        _print(source, facts, messages)
     return 0 if good else 1
+
+
+def _nothing(path: Path, rows: Sequence[ImportedStream]) -> GatewayError:
+    """The error about a file without a message that a session can have: what it has instead, and why that is left."""
+    reasons = [f"{row.stream}: {row.why or 'empty'}" for row in rows]
+    why = f" ({first_few(reasons, _NAMED, '; ')})" if reasons else ""
+    return GatewayError(f"{path}: found no message to import{why}")
 
 
 def import_facts(path: Path, source: Source) -> dict[str, str]:
@@ -92,7 +109,7 @@ def _row_facts(row: ImportedStream) -> dict[str, Any]:
     }
 
 
-def _print(source: Source, facts: dict[str, Any]) -> None:
+def _print(source: Source, facts: dict[str, Any], messages: int) -> None:
     print_line(source.title)
     table: list[Sequence[str]] = [("  stream", "type", "found", "imported", "left out", "")]
     for row in source.rows:
@@ -104,8 +121,8 @@ def _print(source: Source, facts: dict[str, Any]) -> None:
     if facts["failure"]:
         print_line(f"FAILED: {facts['failure']}")
         if not facts["bytes"]:
-            entries = count_text(facts["entries"], "entry", "entries")
-            print_line(f"{facts['file']}: not written; --partial writes the {entries} before the damage")
+            before = f"--partial writes the {count_text(messages, 'message')} before the damage"
+            print_line(f"{facts['file']}: not written; {before if messages else 'no message is before the damage'}")
             return
     elif not facts["good"]:
         print_line("DIFFERENT: the rows marked ! lack messages that the source declares")

@@ -51,6 +51,8 @@ def export_mcap(recording: Recording, out: Path, globs: Sequence[str], outputs: 
             else:
                 writer.write(entry)
         writer.close(_ledger(file.ledger, left_out + large.left_out))
+        if not any(row.taken for row in account.rows):
+            place.unlink()
     return account
 
 

@@ -37,6 +37,7 @@ from igtl_gateway.addon.reading import (
     in_larger_blocks,
     marked_moment,
     marks_of,
+    without_messages,
 )
 from igtl_gateway.addon.ros import PointCloud2
 from igtl_gateway.addon.settings import Config
@@ -47,6 +48,7 @@ from igtl_gateway.addon.terminal import (
     duration_text,
     is_terminal,
     live_line,
+    moment_text,
     print_json,
     print_line,
     size_text,
@@ -72,8 +74,8 @@ def run(options: argparse.Namespace) -> int:
     files = [options.file, *filter(None, [options.other])]
     for path in files:
         with SessionFile.open(path) as file:  # before what only a good file needs: rerun, a screen
-            if options.screenshot and not file.entry_count:
-                raise _nothing(path)
+            if not file.entry_count:
+                raise without_messages(file)
             options.at_ns = None if options.at is None else _moment_ns(file, options.at)
     if find_spec("rerun") is None:
         raise ViewerError(missing("rerun"))
@@ -165,8 +167,9 @@ def _moment_ns(file: SessionFile, text: str) -> int:
     """Return UTC ns of the image.  Raises ConfigError."""
     at_ns = marked_moment(text, file.start_ns, "--at", lambda: marks_of(file))
     if not file.start_ns <= at_ns <= file.end_ns:
-        seconds = (file.end_ns - file.start_ns) / NS_PER_S
-        raise ConfigError(f"--at: found {text}, expected at most {seconds:.3f}, the end of the recording")
+        raise ConfigError(
+            f"--at: found {text}, expected at most {moment_text(file.end_ns - file.start_ns)}, the end of the recording"
+        )
     return at_ns
 
 
@@ -416,7 +419,7 @@ def _picture(options: argparse.Namespace, recording: Path, out: Path, view: Sess
     from igtl_gateway.addons.view.shots import take_shots
 
     if not view.seen.first_ns:
-        raise _nothing(options.file)
+        raise GatewayError(f"{options.file}: found no messages, expected at least one")
     at_ns = options.at_ns
     if at_ns is not None:
         at_ns = min(max(at_ns, view.seen.first_ns), view.seen.first_ns + round(view.seen.seconds * NS_PER_S))
@@ -433,10 +436,6 @@ def _report_picture(options: argparse.Namespace, shot: Shot) -> None:
         print_line(f"? {complaint}", error=True)
     if not options.json:
         print_line(f"{options.screenshot}: {size_text(len(shot.png))}")
-
-
-def _nothing(path: Path) -> GatewayError:
-    return GatewayError(f"{path}: found no messages, expected at least one")
 
 
 def _show(options: argparse.Namespace, sessions: list[Path], wait: Any) -> None:

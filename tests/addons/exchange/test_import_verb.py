@@ -95,7 +95,7 @@ def test_what_is_missing_is_a_failure_and_the_rest_is_there(tmp_path: Path, caps
     source.write_bytes(message("a") + broken)
     before = out.read_bytes()
     assert main(["import", str(source), "-o", str(out), "--overwrite"]) == FAILURE
-    assert "out.mcap: not written; --partial writes the 2 entries before the damage" in capsys.readouterr().out
+    assert "out.mcap: not written; --partial writes the 1 message before the damage" in capsys.readouterr().out
     assert out.read_bytes() == before
     out.unlink()
     assert main(["import", str(source), "-o", str(out)]) == FAILURE
