@@ -100,7 +100,7 @@ class StreamReports:
             states: (direction, stream) → "" or why Python passes it, of compiled streams.
         """
         found = {
-            (direction, stream): _NOT_COMPILED.get(stream.partition("/")[0], "its conversion is not compiled")
+            (direction, stream): _NOT_COMPILED.get(stream.partition("/")[0], "its type has no fast one")
             for direction in _DIRECTIONS_IN
             for stream in self._ledger.streams(direction)
             if (direction, stream) not in self._native
@@ -115,8 +115,8 @@ class StreamReports:
             if self._native.get(key) if not why else key in self._native or looks < _LOOKS_BEFORE_PYTHON:
                 continue
             self._native[key] = not why
-            how = f"in Python, which takes longer: {why}" if why else "in C"
-            notes.append(Note(Level.INFO, NATIVE_PASSAGE, f"{key[1]} is converted {how}", key[1], {"native": not why}))
+            way = f"the slower way: {why}" if why else "the fast way"
+            notes.append(Note(Level.INFO, NATIVE_PASSAGE, f"{key[1]} takes {way}", key[1], {"native": not why}))
         return notes
 
 

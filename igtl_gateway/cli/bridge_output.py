@@ -13,8 +13,9 @@ from igtl_gateway.app.passage import NATIVE_PASSAGE
 from igtl_gateway.app.ros_log import note_text
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.globs import matches
+from igtl_gateway.base.natural import natural
 from igtl_gateway.base.near import did_you_mean, near_names
-from igtl_gateway.base.quantities import count_text, size_text
+from igtl_gateway.base.quantities import count_text, seconds_text, size_text
 from igtl_gateway.base.stamp import NS_PER_S, utc_text
 from igtl_gateway.base.systems import service
 from igtl_gateway.base.version import __version__
@@ -27,7 +28,7 @@ from igtl_gateway.gateway import FAULT
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.expected import NO_SOURCE
 from igtl_gateway.gateway.log.entry import Kind
-from igtl_gateway.gateway.log.note import Level
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire.registry import BODIES
 
 if TYPE_CHECKING:
@@ -137,6 +138,7 @@ class TextOutput:
         self._status = ""
         self._status_line = StatusLine()
         self._repeats: Counter[tuple[str, str]] = Counter()
+        self._firsts: dict[tuple[str, str], Note] = {}
 
     def _print(self, text: str, priority: int = service.INFO) -> None:
         if self._terminal:
@@ -196,8 +198,12 @@ class TextOutput:
                 cause = (note.code, "(other streams)")
             is_first = cause not in self._repeats
             self._repeats[cause] += 1 + event.more
+            if is_first:
+                self._firsts[cause] = note
             # the recording has all notes; the terminal has the first of each cause
             is_shown = (note.level is Level.INFO and note.code != FAULT) or is_first or note.code in _EACH
+            # that a stream is as fast as any is news only when it was not
+            is_shown &= not (is_first and note.code == NATIVE_PASSAGE and bool(note.data.get("native")))
             if is_shown and self._logs(note.level):
                 more = f" ({event.more:,} more like it)" if event.more else ""
                 self._print(f"{self._MARKS[note.level]} {note_text(note, links)}{more}", _PRIORITIES[note.level])
@@ -205,7 +211,7 @@ class TextOutput:
     def status(self, bridge: Bridge, watch: EntryWatch, seconds: float) -> None:
         if not self._terminal:
             return
-        self._status = f"{seconds:.0f} s | {self._status_line(bridge, watch, seconds)}"
+        self._status = f"{seconds_text(seconds)} | {self._status_line(bridge, watch, seconds)}"
         live_line(self._status)
 
     def stopped(self, bridge: Bridge, watch: EntryWatch) -> None:
@@ -218,9 +224,11 @@ class TextOutput:
         )
         for reason, number in bridge.tcp.refused().items():
             print_line(f"  connections rejected, {reason}: {number:,}")
-        for cause, number in sorted(self._repeats.items()):
-            if number > 1 and cause[0] not in ("stream", NATIVE_PASSAGE):
-                print_line(f"  {' '.join(filter(None, cause))}: {count_text(number, 'time')}")
+        for cause, number in sorted(self._repeats.items(), key=lambda item: natural(self._firsts[item[0]].text)):
+            first = self._firsts[cause]
+            # what is no trouble was shown each time
+            if number > 1 and (first.level is not Level.INFO or first.code == FAULT) and first.code not in _EACH:
+                print_line(f"  {count_text(number, 'time')}: {first.text}")
         if bridge.summary:
             summary = bridge.summary
             lost, left_out = sum(summary.dropped.values()), sum(summary.left_out.values())

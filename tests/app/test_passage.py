@@ -33,16 +33,16 @@ def test_a_stream_is_reported_once_and_again_when_it_becomes_native() -> None:
     passes = dict.fromkeys(waits, "")
     found = [[note.text for note in reports.look(waits)] for _ in range(7)]
     assert found == [
-        ["/robot is converted in C"],
+        ["/robot takes the fast way"],
         *([] for _ in range(4)),
         [
-            "POLYDATA/Model is converted in Python, which takes longer: surfaces are converted by Python",
-            "SENSOR/Force is converted in Python, which takes longer: its conversion is not compiled",
-            "TRANSFORM/Tool is converted in Python, which takes longer: /tf waits",
+            "POLYDATA/Model takes the slower way: surfaces have no fast one",
+            "SENSOR/Force takes the slower way: its type has no fast one",
+            "TRANSFORM/Tool takes the slower way: /tf waits",
         ],
         [],
     ]
-    assert [note.text for note in reports.look(passes)] == ["TRANSFORM/Tool is converted in C"]
+    assert [note.text for note in reports.look(passes)] == ["TRANSFORM/Tool takes the fast way"]
     assert reports.look(passes) == reports.look(waits) == []
 
 

@@ -51,7 +51,7 @@ _SLICE = 4
 #: Why a stream has no copy.
 _BY_PYTHON = "Python has the connection, as with TLS"
 _NO_NUMBER = "the recorder has no more streams"
-SURFACE = "surfaces are converted by Python"
+SURFACE = "surfaces have no fast one"
 
 #: Kind, channel, type and links of entries → number of their stream in the recorder's queue; None: it has none.
 NumberOf = Callable[[Kind, str, str, tuple[int, ...]], int | None]

@@ -282,7 +282,7 @@ def test_a_slow_stream_becomes_native_without_its_next_message(monkeypatch: pyte
         here.ros.native_publisher = native_publisher  # type: ignore[method-assign]
         wait_for(lambda: here.native == 1)
         wait_for(lambda: here.bridge._reports)
-        assert [event.note.text for event in here.bridge.take_reports()] == ["TRANSFORM/ToolToBase is converted in C"]
+        assert [event.note.text for event in here.bridge.take_reports()] == ["TRANSFORM/ToolToBase takes the fast way"]
         peer.send(transform(20))
         wait_for(lambda: here.received("igtl_in") == 21)
         link = here.bridge.tcp.native_link(1)
