@@ -13,6 +13,7 @@ from igtl_gateway.api.display import as_array, html_table
 from igtl_gateway.api.igtl_columns import quaternions_of, rotations
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.near import one_of
+from igtl_gateway.base.quantities import duration_text
 from igtl_gateway.convert.units import UNITS, LengthUnits
 
 Array = npt.NDArray[Any]
@@ -56,7 +57,7 @@ class Poses:
 
     def __repr__(self) -> str:
         frames = f" of {self.child or '?'} in {self.parent or '?'}" if self.child or self.parent else ""
-        seconds = f", {(self.times[-1] - self.times[0]) / 1e9:.3f} s" if len(self) else ""
+        seconds = f", {duration_text(int(self.times[-1] - self.times[0]))}" if len(self) else ""
         return f"<Poses: {len(self):,}{frames}, {self.unit}{seconds}>"
 
     def _repr_html_(self) -> str:

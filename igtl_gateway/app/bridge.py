@@ -27,7 +27,8 @@ from igtl_gateway.app.timer import Timer
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import ConfigError, Unavailable
 from igtl_gateway.base.qos import Qos
-from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
+from igtl_gateway.base.quantities import duration_text
+from igtl_gateway.base.stamp import NS_PER_MS
 from igtl_gateway.base.systems.memory import IdleMemory
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.edges.interface import RosSide
@@ -291,8 +292,8 @@ class Bridge:
 
     def _check_time(self, mark: MarkNote) -> None:
         if mark.ago_ns > (lasts_ns := self._clock.monotonic_ns() - self._begun_ns):
-            ago_s, since_s = mark.ago_ns / NS_PER_S, lasts_ns / NS_PER_S
-            raise ConfigError(f"mark: found {ago_s:.1f} s ago, expected at most the {since_s:.1f} s of the session")
+            ago, most = duration_text(mark.ago_ns), duration_text(lasts_ns)
+            raise ConfigError(f"mark: found {ago} ago, expected at most the {most} of the session")
 
     def _take_mark(self, mark: MarkNote) -> None:
         """Take a mark of a peer, which cannot be refused any more; one of a time before the session is of now."""
@@ -398,8 +399,8 @@ class Bridge:
 
     def _note_halt(self, halt_ns: int, most_ns: int) -> None:
         """Note that the bridge did not run for a while."""
-        late = f"what came meanwhile was received up to {most_ns / NS_PER_S:.1f} s late"
-        text = f"the bridge did not run for {halt_ns / NS_PER_S:.1f} s: {late}"
+        late = f"what came meanwhile was received up to {duration_text(most_ns)} late"
+        text = f"the bridge did not run for {duration_text(halt_ns)}: {late}"
         self.hub.note(Note(Level.WARN, HALTED, text, data={"late_ns": most_ns}))
 
     def _present_sources(self) -> PresentSources:

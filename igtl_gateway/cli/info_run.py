@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.base.errors import BeingRecorded, ConfigError, DamagedRecording, GatewayError, LimitExceeded
-from igtl_gateway.base.quantities import count_text, duration_text, rate_text, size_text
+from igtl_gateway.base.quantities import count_text, duration_text, moment_text, rate_text, size_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.base.untrusted.text import parse_json
@@ -353,7 +353,7 @@ def _gaps(notes: list[tuple[int, Kind, Note]], start_ns: int) -> list[str]:
     """Return the times in which the disk took nothing, a line each."""
     found = [(stamp, note.data.get("missing_s")) for stamp, _, note in notes if note.code == AGAIN]
     return [
-        f"   gap of {missing_s:,.1f} s, until {(stamp - start_ns) / NS_PER_S:,.3f} s: the disk took nothing"
+        f"   gap of {duration_text(missing_s * NS_PER_S)}, until {moment_text(stamp - start_ns)}: the disk took nothing"
         for stamp, missing_s in found
         if isinstance(missing_s, (int, float))
     ]
@@ -442,13 +442,14 @@ def _peer(clock: dict[str, Any]) -> str:
 
 
 def _line(stamp_ns: int, note: Note, start_ns: int) -> str:
-    return f"{(stamp_ns - start_ns) / NS_PER_S:>9.3f} s  {note.text}"
+    return f"{moment_text(stamp_ns - start_ns):>11}  {note.text}"
 
 
 def _mark(mark: dict[str, Any]) -> str:
     text = ": ".join(filter(None, (mark["label"], mark["text"]))) + (f" ({mark['who']})" if mark["who"] else "")
-    end = "" if mark["end_s"] is None else f" to {mark['end_s']:.3f} s" + (" (open)" if mark["open"] else "")
-    return f"{mark['at_s']:>9.3f} s{end}  {text}" + (" [added]" if mark["added"] else "")
+    open_end = " (open)" if mark["open"] else ""
+    end = "" if mark["end_s"] is None else f" to {moment_text(mark['end_s'] * NS_PER_S)}{open_end}"
+    return f"{moment_text(mark['at_s'] * NS_PER_S):>11}{end}  {text}" + (" [added]" if mark["added"] else "")
 
 
 def _triggers(rows: Sequence[dict[str, Any]], start_ns: int) -> list[str]:
@@ -459,7 +460,7 @@ def _triggers(rows: Sequence[dict[str, Any]], start_ns: int) -> list[str]:
 def _trigger(row: dict[str, Any], start_ns: int) -> str:
     count = f", {row['count']:,} times" if row["count"] > 1 else ""
     missing = f"; INCOMPLETE: {row['missing']}" if row["missing"] else ""
-    return f"{(row['at_ns'] - start_ns) / NS_PER_S:>9.3f} s{count}  {row['rule']}: {row['why']}{missing}"
+    return f"{moment_text(row['at_ns'] - start_ns):>11}{count}  {row['rule']}: {row['why']}{missing}"
 
 
 def _side_lines(side: dict[str, Any] | None) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.quantities import moment_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.gateway.log.marks import Mark, MarkNote
@@ -26,9 +27,9 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json({"file": str(path), "marks": len(added), "mark": facts})
     else:
-        until = "" if facts["end_s"] is None else f" to {facts['end_s']:.3f} s"
+        until = "" if facts["end_s"] is None else f" to {moment_text(facts['end_s'] * NS_PER_S)}"
         verb = "added" if options.remove is None else "removed"
-        print_line(f"{path}: {verb} {mark.label} at {facts['at_s']:.3f} s{until}")
+        print_line(f"{path}: {verb} {mark.label} at {moment_text(facts['at_s'] * NS_PER_S)}{until}")
     return 0
 
 
@@ -44,13 +45,13 @@ def _new(file: SessionFile, options: argparse.Namespace) -> Mark:
     for name, at_ns in zip(("--at", "--until"), moments, strict=True):
         if at_ns is not None and not file.start_ns <= at_ns <= file.end_ns:
             raise ConfigError(
-                f"{name}: found {(at_ns - file.start_ns) / NS_PER_S:.3f} s from the start, expected 0 to "
-                f"{(file.end_ns - file.start_ns) / NS_PER_S:.3f} s"
+                f"{name}: found {moment_text(at_ns - file.start_ns)} from the start, expected 0 to "
+                f"{moment_text(file.end_ns - file.start_ns)}"
             )
     at_ns, until_ns = moments
     assert at_ns is not None
     if until_ns is not None and until_ns < at_ns:
-        raise ConfigError(f"--until: found {(at_ns - until_ns) / NS_PER_S:.3f} s before --at, expected a later time")
+        raise ConfigError(f"--until: found {moment_text(at_ns - until_ns)} before --at, expected a later time")
     return Mark(noted.label, noted.text, noted.who, at_ns, until_ns, is_added=True)
 
 

@@ -16,8 +16,7 @@ from igtl_gateway.base.errors import (
     LimitExceeded,
     UnsupportedRecording,
 )
-from igtl_gateway.base.quantities import by_count, count_text, size_text
-from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.base.quantities import by_count, count_text, moment_text, size_text
 from igtl_gateway.base.untrusted.files import is_same
 from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.cli.losses import NO_END
@@ -219,7 +218,7 @@ _NAMES = {
 
 def _loss_text(loss: Loss, start_ns: int) -> str:
     """Name, time and place of a loss."""
-    times = [f"{(each - start_ns) / NS_PER_S:.3f} s" for each in (loss.start_ns, loss.end_ns) if each]
+    times = [moment_text(each - start_ns) for each in (loss.start_ns, loss.end_ns) if each]
     match times:
         case [first, last]:
             when = f" between {first} and {last}"

@@ -323,7 +323,7 @@ def in_unit(stream: ObservedStream) -> str:
 
 
 def from_epoch(stream: ObservedStream) -> str:
-    text = f"stamps are {abs(stream.timing.most_ns) / EPOCH_NS:,.0f} days from the current time"
+    text = f"stamps are {duration_text(stream.timing.most_ns)} from the current time"
     if not stream.fractions.is_low_word:
         return text
     return f"{text}: their seconds are 0, and the fraction counts the seconds since 1970, as clients in MATLAB write it"

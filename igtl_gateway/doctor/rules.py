@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from igtl_gateway.base.quantities import by_count, count_text, duration_text
+from igtl_gateway.base.quantities import by_count, count_text, duration_text, rate_text
 from igtl_gateway.doctor import checks
 from igtl_gateway.doctor.checks import RuleMatch, each_stream
 from igtl_gateway.doctor.observer import Observer
@@ -368,7 +368,7 @@ RULES: tuple[Rule, ...] = (
         "check the tracker's line of sight, the sender and the network",
         each_stream(
             checks.has_gap,
-            lambda one: f"a pause of {duration_text(one.longest_pause_ns)} in a stream of {one.rate_hz:.1f} Hz",
+            lambda one: f"a pause of {duration_text(one.longest_pause_ns)} in a stream of {rate_text(one.rate_hz)}",
         ),
     ),
     Rule(

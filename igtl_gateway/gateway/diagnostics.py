@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from igtl_gateway.base.quantities import by_count, count_text, duration_text
+from igtl_gateway.base.quantities import by_count, count_text, duration_text, rate_text, seconds_text
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.convert.common_msgs import DiagnosticArray
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header
@@ -173,7 +173,7 @@ class Diagnostics:
         elif silent_ns >= SILENT_NS:
             level, text = STALE if seen.rhythm else OK, f"no message for {duration_text(silent_ns)}"
         else:
-            level, text = OK, f"{rate_hz:.1f} Hz"
+            level, text = OK, rate_text(rate_hz)
         values = [("frequency_hz", f"{rate_hz:.2f}"), ("silent_s", f"{silent_ns / NS_PER_S:.1f}")]
         newest = max(watched, key=lambda one: one.arrived_ns, default=None)
         if newest and (age_ns := newest.age_ns) is not None:
@@ -239,7 +239,7 @@ class Diagnostics:
 def _disk(left_s: float | None, behind_s: float) -> tuple[int, str]:
     """Level and text of a recorder that loses nothing: whether its disk becomes full, and its file is behind."""
     if behind_s:
-        return WARN, f"the file is {behind_s:.1f} s behind"
+        return WARN, f"the file is {duration_text(behind_s * NS_PER_S)} behind"
     if left_s is not None and left_s < DISK_LOW_S:
-        return WARN, f"the disk is full in {left_s / 60:,.0f} min at the present rate"
+        return WARN, f"the disk is full in {seconds_text(left_s)} at the present rate"
     return OK, "recording"

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.quantities import size_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.note import Level, Note
 
@@ -97,9 +98,9 @@ class Admission:
         if waited_ns < _NOTED_NS:
             return None
         self._is_noted = True
-        rate = (self.recorder.queue.done_bytes - taken) / waited_ns * 1e3
+        rate = (self.recorder.queue.done_bytes - taken) / waited_ns * NS_PER_S
         text = (
-            f"large messages come faster than they are recorded ({rate:,.0f} MB/s): they wait in the connections of "
-            f"their peers, for {HOLD_NS // NS_PER_S} s at most"
+            f"large messages come faster than they are recorded ({size_text(rate)}/s): they wait in the "
+            f"connections of their peers, for {HOLD_NS // NS_PER_S} s at most"
         )
-        return Note(Level.WARN, WAITS, text, data={"mb_per_s": round(rate, 1)})
+        return Note(Level.WARN, WAITS, text, data={"mb_per_s": round(rate / 1e6, 1)})

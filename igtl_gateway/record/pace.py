@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from igtl_gateway.base.quantities import duration_text, size_text
 from igtl_gateway.base.stamp import NS_PER_S
 
 #: Returns the time (ns) that a worker ran, and the time that it was ready and had no processor; None: unknown.
@@ -68,5 +69,5 @@ class Pace:
         shares, passed_s = self.shares(now_ns), (now_ns - self._begun_ns) / NS_PER_S
         if shares is None:
             return "the recorder is too slow", ""
-        rate = (taken - self._bytes) / 1e6 / passed_s
-        return _CAUSES[shares.cause], f"in {passed_s:.1f} s it took {rate:,.0f} MB/s; {shares}"
+        rate = (taken - self._bytes) / passed_s
+        return _CAUSES[shares.cause], f"in {duration_text(passed_s * NS_PER_S)} it took {size_text(rate)}/s; {shares}"

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.base.errors import GatewayError, RecordingError
+from igtl_gateway.base.quantities import size_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.prologue import Prologue
@@ -298,7 +299,7 @@ class PartsWriter:
         if max(own, _SMALL_PROLOGUE) < self._prologue_bytes and not (self._asked or is_old):
             until = " and a minute has not passed" if self._max_ns else ""
             return (
-                f"each part begins with the last messages of the streams ({self._prologue_bytes / 1e6:,.0f} MB), "
+                f"each part begins with the last messages of the streams ({size_text(self._prologue_bytes)}), "
                 f"and this one has less than that of its own{until}"
             )
         return ""

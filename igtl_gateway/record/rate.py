@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from igtl_gateway.base.quantities import size_text
+from igtl_gateway.base.quantities import seconds_text, size_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.note import Level, Note
 
@@ -52,13 +52,5 @@ class RateWatch:
         self._reported = rate
         text = f"the recording takes {size_text(rate * _HOUR_S)} an hour"
         if free is not None:
-            text += f"; the disk has room for {_long(free / rate)}"
+            text += f"; the disk has room for {seconds_text(free / rate)}"
         return Note(Level.INFO, RATE, text, data={"bytes_per_hour": round(rate * _HOUR_S)})
-
-
-def _long(seconds: float) -> str:
-    """``45 min``, ``12 h``, ``9 days``."""
-    hours = seconds / _HOUR_S
-    if hours < 2:
-        return f"{hours * 60:,.0f} min"
-    return f"{hours:,.0f} h" if hours < 48 else f"{hours / 24:,.0f} days"

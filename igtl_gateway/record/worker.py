@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import FileTaken, RecordingError
 from igtl_gateway.base.qos import Qos
-from igtl_gateway.base.quantities import by_count, count_text
+from igtl_gateway.base.quantities import by_count, count_text, duration_text, size_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Level, Note
@@ -590,7 +590,7 @@ class _RecorderWorker:
         missing_s = self._failures.works_again(self._clock.monotonic_ns())
         self._output.changed()
         self._report_forgotten()
-        text = f"the disk works again after {missing_s:.1f} s; the recording goes on in {path}"
+        text = f"the disk works again after {duration_text(missing_s * NS_PER_S)}; the recording goes on in {path}"
         self._note(Note(Level.WARN, AGAIN, text, data={"path": str(path), "missing_s": round(missing_s, 1)}))
 
     def _look_at_disk(self, now_ns: int) -> None:
@@ -659,7 +659,7 @@ class _RecorderWorker:
 
 def _without(forgotten: Mapping[str, int]) -> Note:
     """The note of a file that begins without large inputs."""
-    names = ", ".join(f"{stream} ({size / 1e6:,.0f} MB)" for stream, size in forgotten.items())
+    names = ", ".join(f"{stream} ({size_text(size)})" for stream, size in forgotten.items())
     text = f"the file begins without the last message of {names}: verify of it may find differences"
     return Note(Level.WARN, INCOMPLETE_BEGIN, text, data={"streams": dict(forgotten)})
 

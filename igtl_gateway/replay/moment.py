@@ -6,6 +6,7 @@ from datetime import datetime, timedelta, timezone
 from decimal import Decimal, InvalidOperation
 
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.quantities import moment_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.versions import iso_time
 
@@ -40,7 +41,9 @@ def moment(text: str, start_ns: int, option: str) -> int:
 
 def since_text(start_ns: int, recorded_ns: int | None) -> str:
     """Return a recorded time for people, from ``start_ns``."""
-    return "the beginning" if recorded_ns is None else f"{(recorded_ns - start_ns) / NS_PER_S:+.3f} s"
+    if recorded_ns is None:
+        return "the beginning"
+    return f"{'+' * (recorded_ns >= start_ns)}{moment_text(recorded_ns - start_ns)}"
 
 
 def check_part(start_ns: int | None, end_ns: int | None, first_ns: int, last_ns: int, *, is_empty_part: bool) -> None:

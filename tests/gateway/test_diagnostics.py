@@ -138,7 +138,7 @@ def test_a_disk_that_fills_and_a_file_that_is_behind_are_warnings() -> None:
     for more, level, text in (
         ({"disk_left_s": 1900}, OK, "recording"),
         ({"disk_left_s": 600}, WARN, "the disk is full in 10 min at the present rate"),
-        ({"disk_left_s": None, "behind_s": 1.25}, WARN, "the file is 1.2 s behind"),
+        ({"disk_left_s": None, "behind_s": 1.25}, WARN, "the file is 1.25 s behind"),
         ({"disk_left_s": 60, "failure": "disk full"}, ERROR, "disk full"),
     ):
         told.recorder = counts | more

@@ -107,7 +107,7 @@ def test_one_note_an_episode_with_the_rate(world: World) -> None:
     world.queue.done_bytes = 50_000_000
     assert not world.passes(100) and not world.passes(100)
     (note,) = world.notes
-    assert note.code == WAITS and note.data == {"mb_per_s": 25.0} and "(25 MB/s)" in note.text
+    assert note.code == WAITS and note.data == {"mb_per_s": 25.0} and "(25.0 MB/s)" in note.text
     world.waiting(0)
     assert world.passes(100)
     world.waiting(MOST)

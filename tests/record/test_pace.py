@@ -32,7 +32,7 @@ def test_the_cause_is_what_takes_most_time(cause: int, ran: float, ready: float,
     assert shares is not None and shares.cause == cause and text in str(shares)
     pace.begin(SECOND, 1_000_000)
     words, figures = pace.describe(3 * SECOND, 101_000_000)
-    assert words and figures == f"in 2.0 s it took 50 MB/s; {shares}"
+    assert words and figures == f"in 2 s it took 50.0 MB/s; {shares}"
 
 
 def test_where_the_system_does_not_count_there_are_no_figures() -> None:

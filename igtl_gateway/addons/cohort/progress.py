@@ -7,7 +7,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 from igtl_gateway.addon import NS_PER_S, Clock, Self, SystemClock
-from igtl_gateway.addon.terminal import clear_live_line, count_text, is_terminal, live_line, print_line
+from igtl_gateway.addon.terminal import clear_live_line, count_text, is_terminal, live_line, print_line, seconds_text
 
 if TYPE_CHECKING:
     from igtl_gateway.addons.cohort.running import RunSummary
@@ -66,17 +66,7 @@ def state_line(summary: RunSummary, seconds: float, columns: int = 80) -> str:
     long = max(0, min(_COLUMNS, columns - _TEXT))
     filled = long * done // files if files else long
     rate = summary.done / seconds if seconds > 0 else 0.0
-    left = f", {duration((files - done) / rate)} left" if rate > 0 else ""
+    left = f", {seconds_text((files - done) / rate)} left" if rate > 0 else ""
     failed = f", {summary.failed:,} without result" if summary.failed else ""
     bar = f"[{'#' * filled}{'.' * (long - filled)}] " if long else ""
     return f"{bar}{done:,} of {count_text(files, 'file')}, {rate:,.1f}/s{left}{failed}"
-
-
-def duration(seconds: float) -> str:
-    """Return a time in a unit that fits: ``42 s``, ``3 min 20 s``, ``2 h 5 min``."""
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    return f"{whole // 3600} h {whole % 3600 // 60} min"

@@ -11,10 +11,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.addon import __version__
-from igtl_gateway.addon.terminal import count_text, size_text
+from igtl_gateway.addon.terminal import count_text, seconds_text, size_text
 from igtl_gateway.addons.cohort.charts import STYLE, bars, shares, table, text
 from igtl_gateway.addons.cohort.ends import NOTHING, OK, VERB_NAMES
-from igtl_gateway.addons.cohort.progress import duration
 
 if TYPE_CHECKING:
     from igtl_gateway.addons.cohort.query import Questions
@@ -87,12 +86,12 @@ def _ends(questions: Questions) -> str:
     )
     known = ""
     if total["entries"]:
-        known = f", {duration(total['seconds'])} of recordings, {count_text(total['entries'], 'entry', 'entries')}"
+        known = f", {seconds_text(total['seconds'])} of recordings, {count_text(total['entries'], 'entry', 'entries')}"
     heads = ("verb", "end", "files", "size", "time of work")
     rows = []
     for row in found:
         end, worked = str(row["status"]).replace("_", " "), row["seconds"] or 0.0
-        needed = duration(worked) if worked >= 1 else "less than 1 s"
+        needed = seconds_text(worked) if worked >= 1 else "less than 1 s"
         rows.append((row["verb"], end, f"{row['files']:,}", size_text(row["bytes"] or 0), needed))
     return _section(
         "Sessions", _paragraph(f"{count_text(total['files'], 'file')}{known}."), table(heads, rows, heads[2:])

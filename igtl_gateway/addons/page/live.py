@@ -24,6 +24,7 @@ from igtl_gateway.addon.live import RECORDING_ACTIONS, Handler, LocalServer
 from igtl_gateway.addon.processes import Child
 from igtl_gateway.addon.reading import Entry, Kind, Level, MarkNote, Note
 from igtl_gateway.addon.settings import Acceptance
+from igtl_gateway.addon.terminal import duration_text
 from igtl_gateway.addons.page.live_numbers import LiveNumbers
 from igtl_gateway.addons.page.sample import sample_of
 
@@ -330,7 +331,7 @@ class BridgePage:
                 bridge.mark(mark)
             except GatewayError as error:
                 return False, str(error)
-            ago = f", {mark.ago_ns / NS_PER_S:.1f} s ago" if mark.ago_ns > NS_PER_S else ""
+            ago = f", {duration_text(mark.ago_ns)} ago" if mark.ago_ns > NS_PER_S else ""
             return True, (f"the phase {mark.label} {mark.phase}s" if mark.phase else "the mark is set") + ago
         if what == "end":
             bridge.hub.note(Note(Level.INFO, PAGE, "the end of the bridge was pressed on the page"))

@@ -11,7 +11,7 @@ from typing import Any
 from igtl_gateway.addon import NS_PER_S
 from igtl_gateway.addon.checking import RULES
 from igtl_gateway.addon.notes import DROPPED, HARMLESS
-from igtl_gateway.addon.terminal import by_count, count_text
+from igtl_gateway.addon.terminal import by_count, count_text, duration_text, seconds_text, size_text
 from igtl_gateway.addons.page.rhythm import Rhythm
 
 #: States, the worst first: each has a word, a shape and a colour on the page.  OFF: nothing comes, and nothing has to.
@@ -204,7 +204,7 @@ def link_trouble(peer: Mapping[str, Any], losses: Losses, ones: Sequence[Watched
 
 def departed(since_ns: int, *, was_regular: bool) -> Trouble:
     """Return that a peer has left: as bad as silence if it sent regularly."""
-    return Trouble(SILENT if was_regular else WAITING, f"left {since_ns // NS_PER_S} s ago", "left")
+    return Trouble(SILENT if was_regular else WAITING, f"left {seconds_text(since_ns // NS_PER_S)} ago", "left")
 
 
 #: What is wrong with a stream whose peer has left: a regular one, and one that came now and then.
@@ -232,15 +232,15 @@ def _silent(rhythm: Rhythm | None, now_ns: int) -> Trouble | None:
     if not rhythm or not silent_ns:
         return None
     before = f", and {_times(rhythm)} before that in the last minute" if rhythm.pauses else ""
-    return Trouble(SILENT, f"silent for {_seconds(silent_ns)}{before}", "silent")
+    return Trouble(SILENT, f"silent for {duration_text(silent_ns)}{before}", "silent")
 
 
 def _paused(rhythm: Rhythm | None) -> Trouble | None:
     if not rhythm or not rhythm.pauses:
         return None
     longest_ns = max(length for _, length in rhythm.pauses)
-    up_to = "" if len(rhythm.pauses) == 1 else "up to "
-    return Trouble(WARNING, f"silent for {up_to}{_seconds(longest_ns)}, {_times(rhythm)} in the last minute", "silent")
+    longest = f"{'' if len(rhythm.pauses) == 1 else 'up to '}{duration_text(longest_ns)}"
+    return Trouble(WARNING, f"silent for {longest}, {_times(rhythm)} in the last minute", "silent")
 
 
 def _slower(rhythms: Sequence[Rhythm], now_ns: int) -> Trouble | None:
@@ -252,17 +252,17 @@ def _slower(rhythms: Sequence[Rhythm], now_ns: int) -> Trouble | None:
 
 def _late(ones: Iterable[Watched], begin: str) -> Trouble | None:
     ages = [one.late_ns for one in ones if one.late_ns]
-    return Trouble(WARNING, f"{begin} {min(ages) / 1e9:.1f} s old on arrival", "old") if ages else None
+    return Trouble(WARNING, f"{begin} {duration_text(min(ages))} old on arrival", "old") if ages else None
 
 
 def _ahead(rows: Sequence[Mapping[str, Any]]) -> Trouble | None:
     ms = ahead_ms(rows)
-    return Trouble(WARNING, f"its clock is ahead by {ms / 1e3:.1f} s", "stamp_future") if ms else None
+    return Trouble(WARNING, f"its clock is ahead by {duration_text(ms * 1e6)}", "stamp_future") if ms else None
 
 
 def _odd(rows: Sequence[Mapping[str, Any]]) -> Trouble | None:
     codes, ms = sorted({code for row in rows for code in row["episodes"]}), ahead_ms(rows)
-    texts = _ODD | ({"stamp_future": f"the sender's clock is ahead by {ms / 1e3:.1f} s"} if ms else {})
+    texts = _ODD | ({"stamp_future": f"the sender's clock is ahead by {duration_text(ms * 1e6)}"} if ms else {})
     return Trouble(WARNING, "; ".join(texts.get(code, code) for code in codes), codes[0]) if codes else None
 
 
@@ -276,17 +276,13 @@ def _reading(peer: Mapping[str, Any], losses: Losses, now_ns: int) -> Trouble | 
             "queue",
         )
     if kilobytes := losses.stuck_bytes // 1_000:
-        return Trouble(WARNING, f"reads slowly: {kilobytes:,} kB wait", "queue")
+        return Trouble(WARNING, f"reads slowly: {size_text(kilobytes * 1_000)} wait", "queue")
     return None
 
 
 def _times(rhythm: Rhythm) -> str:
     number = len(rhythm.pauses)
     return "once" if number == 1 else f"{number:,} times"
-
-
-def _seconds(ns: int) -> str:
-    return f"{ns / 1e9:,.1f} s"
 
 
 def latency_ms(watched: Iterable[Mapping[str, Any]]) -> float | None:

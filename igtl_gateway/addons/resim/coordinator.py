@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 
 from igtl_gateway.addon import GatewayError
 from igtl_gateway.addon.reading import Qos, incompatible
-from igtl_gateway.addon.terminal import count_text
+from igtl_gateway.addon.terminal import count_text, duration_text
 from igtl_gateway.addons.resim import frames
 from igtl_gateway.addons.resim.frames import ALL, DEADLINE, MESSAGE, NEVER, EntityFrame
 from igtl_gateway.addons.resim.inputs import CLOCK, Inputs, RecordedInput, RecordedTopic
@@ -596,7 +596,7 @@ class Coordinator:
 
 
 def _long_time(ns: int) -> str:
-    return "a year and" if ns > _YEAR_NS else f"{ns / 1e9:,.0f} s"
+    return "a year and" if ns > _YEAR_NS else duration_text(ns)
 
 
 def _before(time_ns: int, class_: int) -> tuple[int, int]:

@@ -15,7 +15,17 @@ from pathlib import Path
 from igtl_gateway.addon import ConfigError, GatewayError, Unavailable
 from igtl_gateway.addon.checking import Tolerance
 from igtl_gateway.addon.reading import SessionFile, since_text
-from igtl_gateway.addon.terminal import aligned, cell, command, count_text, counted, print_json, print_line, width
+from igtl_gateway.addon.terminal import (
+    aligned,
+    cell,
+    command,
+    count_text,
+    counted,
+    duration_text,
+    print_json,
+    print_line,
+    width,
+)
 from igtl_gateway.addon.untrusted import is_same
 from igtl_gateway.addon.writing import check_target, open_new, write_bytes, written
 from igtl_gateway.addons.resim.bisect import Step, bisect, bisection_facts
@@ -348,10 +358,10 @@ def _print_roles(roles: Roles) -> None:
 
 
 def _print_run(one: Run) -> None:
-    session_s = (one.end_ns - one.start_ns) / 1e9
+    session = duration_text(one.end_ns - one.start_ns)
     print_line(
         f"run {one.number}: {count_text(sum(one.delivered.values()), 'input')}, "
-        f"{count_text(one.messages, 'output')}, {session_s:.1f} s of session in {one.seconds:.1f} s"
+        f"{count_text(one.messages, 'output')}, {session} of session in {duration_text(one.seconds * 1e9)}"
     )
     for line in one.hints if one.number == 1 else ():
         print_line(f"faster: {line}")

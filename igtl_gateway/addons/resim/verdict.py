@@ -33,7 +33,7 @@ from igtl_gateway.addon.checking import (
     first_byte,
 )
 from igtl_gateway.addon.reading import Entry, Kind, Qos, SessionFile, recorded_units
-from igtl_gateway.addon.terminal import count_text, counted
+from igtl_gateway.addon.terminal import count_text, counted, duration_text
 from igtl_gateway.addons.resim.coordinator import Roles
 from igtl_gateway.addons.resim.engine import Run, RunResult
 from igtl_gateway.addons.resim.frames import NEVER
@@ -93,7 +93,7 @@ class Difference:
             case "unread":
                 return f"{self.stream}: bytes of its messages differ, and their type cannot be read"
             case "late" | "early":
-                return f"{place}: {abs(self.late_ns) / 1e6:.3f} ms {self.what}"
+                return f"{place}: {duration_text(self.late_ns)} {self.what}"
         delta = self.delta
         is_measured = delta.measure and isfinite(delta.mm) and isfinite(delta.deg)  # not those of a NaN
         if (delta.field, delta.one) == _STAMP:  # not a field of that name with another type
@@ -162,7 +162,7 @@ class Race:
         difference, topic = self.difference.text(start_ns), self.topic or "an input"
         if not self.earlier_ns:
             return f"a timer races {topic}: {difference} if the timer is first"
-        early = f"if the programs start {self.earlier_ns / 1e6:.1f} ms earlier"
+        early = f"if the programs start {duration_text(self.earlier_ns)} earlier"
         if self.is_sample:
             return f"sampled by a timer: {difference} {early}"
         return f"an output at {topic} depends on when the programs start: {difference} {early}"

@@ -28,6 +28,7 @@ from igtl_gateway.addon.streams import (
     one_clock,
     pick,
 )
+from igtl_gateway.addon.terminal import duration_text
 from igtl_gateway.addons.review.pose_rows import PoseRows
 
 Array = npt.NDArray[Any]
@@ -185,10 +186,10 @@ class FramePoses:
         joined = ~gaps & placed.known[1:] & placed.known[:-1]
         notes = list(placed.notes)
         if gaps.any():
-            longest_s = np.diff(moments)[gaps].max() / NS_PER_S
+            longest_ns = float(np.diff(moments)[gaps].max())
             notes.append(
                 f"{own.times.name}: unknown in {_count(int(gaps.sum()), 'gap')} above {GAP_NS / NS_PER_S:g} s, "
-                f"the longest of {longest_s:.3g} s: what the tool did there is not counted"
+                f"the longest of {duration_text(longest_ns)}: what the tool did there is not counted"
             )
         # a sample without a position divides the path
         known = np.flatnonzero(placed.known)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.addon.terminal import cell, count_text, is_terminal, print_line, width
+from igtl_gateway.addon.terminal import cell, count_text, is_terminal, moment_text, print_line, width
 from igtl_gateway.addon.writing import open_text, written
 from igtl_gateway.addons.review import EndReview, Level, PlanReview, Review, StitchReview
 
@@ -142,7 +142,7 @@ def print_review(path: Path, review: Review, start_ns: int) -> None:
     for note in review.notes:
         print_line(f"  note   {note}")
     for version, plan in enumerate(plans, 1):
-        when = f"{(plan.stamp_ns - start_ns) / _NS_PER_S:.3f} s"
+        when = moment_text(plan.stamp_ns - start_ns)
         print_line("", f"plan {version} of {len(plans)}: {plan.topic} at {when}, {_levels(plan)}")
         if plan is review.first or plan is review.last:
             _print_plan(plan, colour, with_tool=bool(review.tool) and plan is review.last)

@@ -18,6 +18,7 @@ import rerun as rr
 from igtl_gateway.addon import NS_PER_S, ConversionError
 from igtl_gateway.addon.live import NoteEvent, NoteRate
 from igtl_gateway.addon.reading import Entry, Level, Note
+from igtl_gateway.addon.terminal import moment_text
 from igtl_gateway.addons.view.colours import ERROR, INFO, WARN
 from igtl_gateway.addons.view.columns import LINES, NUMBERS, POSES, SIZES, Collected, RowKind, Rows, times_of
 from igtl_gateway.addons.view.contents import LOG, PLACES
@@ -214,7 +215,7 @@ class Pen:
     def text(self, path: str, text: str, level: str, colour: int | None = None) -> None:
         """Write a line to a log, after the time since the first entry."""
         # the log of rerun cuts a column of times after the date, so the line has the time of the session
-        time = f"{(self.stamp_ns - self.begin_ns) / NS_PER_S:9.3f} s" if self.stamp_ns else ""
+        time = f"{moment_text(self.stamp_ns - self.begin_ns):>11}" if self.stamp_ns else ""
         line = f"{time:11}  {text}"
         # rerun gives a line without a colour that of the previous line
         self.log(path, rr.TextLog(self.displayable(line), level=level, color=INFO if colour is None else colour))

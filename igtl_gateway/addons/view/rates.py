@@ -12,6 +12,7 @@ import numpy.typing as npt
 from igtl_gateway.addon import NS_PER_S
 from igtl_gateway.addon.reading import Entry, Kind
 from igtl_gateway.addon.streams import StreamTimes, one_clock
+from igtl_gateway.addon.terminal import duration_text
 from igtl_gateway.addons.view.colours import line_colour
 from igtl_gateway.addons.view.columns import Rows
 from igtl_gateway.addons.view.contents import LATENCIES, RATES, path_of
@@ -74,7 +75,7 @@ class Rates:
             streams.append(StreamTimes(channel, stamps + rate.least_ns, stamps))
         found = one_clock(streams)
         return tuple(
-            f"on the time line {SENDER_TIME}, {stream.name} is {abs(shift_ns) / _NS_PER_MS:,.0f} ms "
+            f"on the time line {SENDER_TIME}, {stream.name} is {duration_text(shift_ns)} "
             f"{'before' if shift_ns > 0 else 'after'} the others: its stamps are of another clock"
             for stream, shift_ns in zip(streams, found.shifts, strict=True)
             if shift_ns
@@ -104,7 +105,7 @@ class Rates:
             if rate.messages >= _RHYTHM and pause > NS_PER_S:
                 mean = (rate.last_ns - rate.first_ns) / (rate.messages - 1)
                 if pause > _GAP_FACTOR * mean:
-                    silence = f"{entry.channel}: silent for {pause / NS_PER_S:.1f} s"
+                    silence = f"{entry.channel}: silent for {duration_text(pause)}"
         rate.last_ns = now_ns
         rate.messages += 1
         rate.this_second += 1

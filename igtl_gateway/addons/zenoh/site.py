@@ -16,7 +16,7 @@ from typing import Any
 from igtl_gateway.addon import NS_PER_S, Clock
 from igtl_gateway.addon.reading import Level
 from igtl_gateway.addon.ros_side import Reports
-from igtl_gateway.addon.terminal import counted
+from igtl_gateway.addon.terminal import counted, duration_text, offset_text
 
 #: Between questions.
 ASK_NS = 2 * NS_PER_S
@@ -163,7 +163,7 @@ class Sites:
         self._reports.note(
             Level.INFO,
             "site_clock",
-            f"site {name}: its clock is {offset_ns / 1e6:+.3f} ms ahead of our clock, ±{error_ms:.3f} ms",
+            f"site {name}: its clock is {offset_text(offset_ns)} ahead of our clock, ±{duration_text(error_ms * 1e6)}",
             data={"site": name, "offset_s": offset_ns / NS_PER_S, "error_s": error_ns / NS_PER_S},
         )
         gids = self._gids(site.zid)
@@ -175,12 +175,12 @@ class Sites:
             ages.clear()
             ages.extend(kept)
             low, middle, high = ((found[round(part * (len(found) - 1))] + offset_ns) / 1e6 for part in (0, 0.5, 0.99))
+            shown = [duration_text(each * 1e6) for each in (low, middle, high, error_ms)]
             self._reports.note(
                 Level.INFO,
                 "site_latency",
-                f"{topic} from site {name}: {counted(len(found), 'message')}, latency {low:.1f} ms, median "
-                f"{middle:.1f} ms, "
-                f"99 % {high:.1f} ms, each ±{error_ms:.3f} ms",
+                f"{topic} from site {name}: {counted(len(found), 'message')}, latency {shown[0]}, median {shown[1]}, "
+                f"99 % {shown[2]}, each ±{shown[3]}",
                 topic,
                 {
                     "site": name,

@@ -24,6 +24,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+from igtl_gateway.base.quantities import size_text
 from igtl_gateway.base.systems import files
 from igtl_gateway.base.systems.malloc import tune_malloc
 from igtl_gateway.edges.ros_interfaces.cache import make_ready
@@ -72,7 +73,7 @@ def prepare_environment(lock_step: bool = False) -> list[str]:
     make_ready()
     freed = free_shared_memory(_SHARED_MEMORY)
     lines = [_set_profile(LOCK_STEP_PROFILE if lock_step else PROFILE), tune_malloc()]
-    return [*lines, f"shared memory: freed {freed >> 20} MiB of killed processes"] if freed else lines
+    return [*lines, f"shared memory: freed {size_text(freed)} of killed processes"] if freed else lines
 
 
 def free_shared_memory(folder: Path) -> int:

@@ -24,6 +24,7 @@ from pathlib import Path
 
 from igtl_gateway.base.child import Child
 from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.quantities import seconds_text, size_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.systems import files
 from igtl_gateway.base.systems.processes import end_session, usable_cpus
@@ -118,7 +119,7 @@ def _compile_all(places: Mapping[str, Path], root: Path, prefix: Path, ended: En
         for job in jobs:
             job.close()
     progress.close()
-    write_line(f"ROS message packages: compiled in {progress.elapsed_s:.0f} s.")
+    write_line(f"ROS message packages: compiled in {seconds_text(progress.elapsed_s)}.")
 
 
 def compile_package(package: str, prefix: Path, work: Path, libraries: str = "") -> None:
@@ -196,7 +197,7 @@ def _reason(lines: Sequence[str]) -> str:
 def _failure(what: str, root: Path, reason: str, output: str = "") -> ImportError:
     if reason in _FULL:
         free = _free_text(root)
-        reason = f"the disk of {root} is full: found {free} free, expected {ROOM // 1_000_000} MB"
+        reason = f"the disk of {root} is full: found {free} free, expected {size_text(ROOM)}"
     error = ImportError(f"{what} could not be compiled: {reason}")
     if output:
         add_note(error, output)
@@ -204,7 +205,7 @@ def _failure(what: str, root: Path, reason: str, output: str = "") -> ImportErro
 
 
 def _free_text(folder: Path) -> str:
-    return f"{shutil.disk_usage(folder).free / 1e6:.1f} MB"
+    return size_text(shutil.disk_usage(folder).free)
 
 
 def _check_compiler(package: str) -> None:
@@ -230,7 +231,7 @@ def _folder_with_room(what: str, folders: Sequence[Path]) -> Path:
         found.append(f"{folder} {problem}")
     raise ImportError(
         f"{what} must be compiled once: found {', and '.join(found)}; expected a folder to write to with "
-        f"{ROOM // 1_000_000} MB free (XDG_CACHE_HOME=FOLDER names another)"
+        f"{size_text(ROOM)} free (XDG_CACHE_HOME=FOLDER names another)"
     )
 
 
@@ -269,7 +270,7 @@ def _locked(root: Path, ended: Ended) -> Iterator[None]:
             continue
         now_ns = _clock.monotonic_ns()
         if now_ns >= tell_ns:
-            still = f" ({(now_ns - began_ns) / NS_PER_S:.0f} s so far)" if tell_ns > began_ns else ""
+            still = f" ({seconds_text((now_ns - began_ns) / NS_PER_S)} so far)" if tell_ns > began_ns else ""
             write_line(f"Waiting for {_owner_text(owner)}: it compiles ROS messages{still}.")
             tell_ns = now_ns + _WAIT_EACH_S * NS_PER_S
         threading.Event().wait(_LOOK_S)

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Mapping
 
 from igtl_gateway.base.clock import Clock
-from igtl_gateway.base.quantities import count_text
+from igtl_gateway.base.quantities import count_text, seconds_text
 from igtl_gateway.base.stamp import NS_PER_S
 
 _CLEAR = "\r\x1b[K"
@@ -100,7 +100,7 @@ class Progress:
             ends[ends.index(min(ends))] += cost * (1 - self._shares[package])
         left_s = max(ends) * busy_s / (self._done * self._whole)
         step = 5 if left_s > _FINE_S else 1
-        return f", about {step * max(1, round(left_s / step))} s left"
+        return f", about {seconds_text(step * max(1, round(left_s / step)))} left"
 
 
 def _has_cursor() -> bool:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from igtl_gateway.base.clock import Clock
-from igtl_gateway.base.quantities import count_text
+from igtl_gateway.base.quantities import count_text, duration_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.systems.files import OpenFolder, lock
 from igtl_gateway.config.notations import RetentionRule
@@ -109,7 +109,7 @@ def choose(
     for time_ns, each in sorted(by_age, key=lambda row: row[1] in running):
         reason = ""
         if rule.age_s and now_ns is not None and time_ns and now_ns - time_ns > rule.age_s * NS_PER_S:
-            reason = f"closed {(now_ns - time_ns) / NS_PER_S / 86_400:.1f} d ago"
+            reason = f"closed {duration_text(now_ns - time_ns)} ago"
         elif rule.size and (own > rule.size - min(others, most_others) if each in running else others > most_others):
             reason = f"all are {count_text(own + others, 'byte')}"
         kept = hindrance(each) if reason else ""

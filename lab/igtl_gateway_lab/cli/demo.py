@@ -18,7 +18,7 @@ from typing import Any
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError, GatewayError, Unavailable
 from igtl_gateway.base.extras import missing
-from igtl_gateway.base.quantities import count_text, size_text
+from igtl_gateway.base.quantities import count_text, duration_text, size_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.cli.next_steps import command, print_next
 from igtl_gateway.cli.options import default
@@ -180,5 +180,8 @@ def _replayed(recording: Path, pace: tuple[str, ...]) -> tuple[str, int]:
         ):
             summary = _event(collector, "summary")
         seconds = (clock.monotonic_ns() - begun_ns) / NS_PER_S
-    print_line(f"replay {' '.join(pace):<24} {count_text(summary['bytes'], 'byte')} in {seconds:.1f} s", flush=True)
+    print_line(
+        f"replay {' '.join(pace):<24} {count_text(summary['bytes'], 'byte')} in {duration_text(seconds * NS_PER_S)}",
+        flush=True,
+    )
     return summary["sha256"], summary["bytes"]

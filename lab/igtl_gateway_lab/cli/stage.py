@@ -17,7 +17,7 @@ from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError, RecordingError, Unavailable
 from igtl_gateway.base.extras import missing
 from igtl_gateway.base.near import one_of
-from igtl_gateway.base.quantities import count_text, size_text
+from igtl_gateway.base.quantities import count_text, duration_text, size_text
 from igtl_gateway.cli.common import stop_event
 from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT
 from igtl_gateway.cli.terminal import clear_live_line, flush_outputs, is_terminal, live_line, print_json, print_line
@@ -238,7 +238,7 @@ class _StageOutput:
             )
             print_line(f"recording    {where}{entries}, {size_text(outcome.recording['bytes'])}; {verdict}")
         why = "" if outcome.end is StageEnd.OVER else f" ({outcome.end.value})"
-        print_line(f"{self._name}: {'passed' if good else 'FAILED'}{why}, {outcome.seconds:.1f} s")
+        print_line(f"{self._name}: {'passed' if good else 'FAILED'}{why}, {duration_text(outcome.seconds * 1e9)}")
 
     def _line(self, name: str, text: str) -> None:
         self._clear()

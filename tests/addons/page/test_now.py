@@ -64,7 +64,7 @@ def test_what_is_wrong_is_on_top_with_advice() -> None:
     texts = [row["text"] for row in found]
     assert texts[0] == "3 messages dropped: wrong CRC" and "compute it" not in found[0]["advice"]
     assert found[0]["advice"].startswith("The sender changes the body after computing the CRC")
-    assert texts[2] == "silent for 10.0 s" and texts[3] == "stamps are in the future"
+    assert texts[2] == "silent for 10 s" and texts[3] == "stamps are in the future"
     assert found[3]["advice"] == "Synchronise the clocks of the two machines (NTP, PTP)"
     assert found[-1]["advice"] == "" and found[3]["stamps"] == "in the future"
 
@@ -88,10 +88,10 @@ def test_a_peer_that_is_silent_again_and_again_is_named() -> None:
             assert len(wrong_things(rows)) == int(link["state"] != OK)
     by_time = {at_s: tuple(found) for at_s, *found in states}
     assert by_time[10.0] == (OK, OK, "")
-    assert by_time[11.0] == (SILENT, SILENT, "peer of Tracker: silent for 1.0 s")
-    assert by_time[16.0] == (WARNING, WARNING, "peer of Tracker: silent for 4.0 s, once in the last minute")
-    assert by_time[26.0][2] == "peer of Tracker: silent for 2.0 s, and once before that in the last minute"
-    assert by_time[60.0][2] == "peer of Tracker: silent for up to 4.0 s, 4 times in the last minute"
+    assert by_time[11.0] == (SILENT, SILENT, "peer of Tracker: silent for 1 s")
+    assert by_time[16.0] == (WARNING, WARNING, "peer of Tracker: silent for 4 s, once in the last minute")
+    assert by_time[26.0][2] == "peer of Tracker: silent for 2 s, and once before that in the last minute"
+    assert by_time[60.0][2] == "peer of Tracker: silent for up to 4 s, 4 times in the last minute"
     assert (stream["gap_s"], stream["gap_utc_ns"]) == (4.0, 14 * _S)
 
 
@@ -116,7 +116,7 @@ def test_the_headline_names_the_worst_first() -> None:
     now = Now()
     counts = regular(now, ["TRANSFORM/a", "TRANSFORM/b"])
     found = now.rows(facts(counts | {"TRANSFORM/a": 150}, peers=[peer(0, "c:3", connected=False)]), 13 * _S, 0)
-    assert (headline(found), others(found)) == ("b: silent for 3.0 s", "also peer c:3")
+    assert (headline(found), others(found)) == ("b: silent for 3 s", "also peer c:3")
     found = now.rows(facts({}, peers=[peer(0, "c:3", connected=False)]), 13 * _S, 0)
     assert headline(Now().rows(facts({"TRANSFORM/a": 1}), _S, 0)) == ""
     rows = Now().rows(facts({}, peers=[peer(0, "c:3", connected=False)]), _S, 0)
@@ -178,8 +178,8 @@ def test_a_clock_that_is_ahead_is_said_in_words() -> None:
     sample = facts({"TRANSFORM/a": 9}, peers=[peer(1, "a:1")], watched=[ahead, watched("TRANSFORM/b", age_ns=-900_000)])
     found = Now().rows(sample, _S, _S)
     (stream,), (link,) = found["streams"], found["links"]
-    assert (stream["state"], stream["text"]) == (WARNING, "the sender's clock is ahead by 2.0 s")
-    assert (link["state"], link["text"]) == (WARNING, "its clock is ahead by 2.0 s")
+    assert (stream["state"], stream["text"]) == (WARNING, "the sender's clock is ahead by 2 s")
+    assert (link["state"], link["text"]) == (WARNING, "its clock is ahead by 2 s")
     assert stream["advice"] == link["advice"] == "Synchronise the clocks of the two machines (NTP, PTP)"
     assert stream["latency_ms"] is None and (stream["ahead_ms"], link["ahead_ms"]) == (2_000.0, 2_000.0)
     sample["watched"] = [watched("TRANSFORM/a", age_ns=-900_000)]  # below what clocks on one network differ by
@@ -207,8 +207,8 @@ def test_late_messages_and_the_peer_that_sends_them() -> None:
     sample = facts({"TRANSFORM/a": 9}, peers=[peer(3, "a:1")], watched=[late])
     found = Now().rows(sample, _S, _S)
     (stream,), (link,) = found["streams"], found["links"]
-    assert (stream["state"], stream["text"]) == (WARNING, "messages are 1.4 s old on arrival")
-    assert (link["state"], link["text"]) == (WARNING, "its messages are 1.4 s old on arrival")
+    assert (stream["state"], stream["text"]) == (WARNING, "messages are 1.40 s old on arrival")
+    assert (link["state"], link["text"]) == (WARNING, "its messages are 1.40 s old on arrival")
     assert stream["way"] == "from a:1" and stream["advice"] == link["advice"] != ""
     sample["watched"] = [watched("TRANSFORM/a", link=3, age_ns=400 * 86_400 * _S)]  # a replay
     assert Now().rows(sample, _S, _S)["links"][0]["state"] == OK
@@ -230,7 +230,7 @@ def test_a_peer_that_reads_slowly() -> None:
     for half, waits in enumerate((20_000, 0, *[70_000] * 7, 60_500, 0), start=2):
         found = now.rows(facts({}, peers=[peer(1, "a:1", unconfirmed_bytes=waits)]), half * _S // 2, 0)
         texts.append(found["links"][0]["text"])
-    assert texts == [*[""] * 9, "reads slowly: 60 kB wait", ""]
+    assert texts == [*[""] * 9, "reads slowly: 60.0 kB wait", ""]
 
 
 def test_a_late_peer_and_its_stream_are_one_thing() -> None:

@@ -114,7 +114,7 @@ def test_a_gap_of_the_tool_divides_its_path_unless_it_stood_still() -> None:
     path = frames.path("tool", "base")
     assert path.joined.tolist() == [True, True, True, False, True]
     (note,) = path.notes
-    assert note.startswith("'tool' in 'base' (/tool): unknown in 1 gap above 0.15 s, the longest of 0.6 s")
+    assert note.startswith("'tool' in 'base' (/tool): unknown in 1 gap above 0.15 s, the longest of 600 ms")
 
 
 def test_before_and_after_its_samples_a_pose_is_unknown() -> None:

@@ -214,7 +214,7 @@ def test_latency_is_gateway_time_minus_the_senders_stamp(draw: Draw) -> None:
 def test_a_stream_that_falls_silent_leaves_a_gap_on_the_time_line(draw: Draw) -> None:
     times = [START_NS + k * STEP_NS for k in range(30)] + [START_NS + 3 * SECOND]
     drawn = draw(entries=[text(number, at) for number, at in enumerate(times, 1)])
-    assert [line for line in drawn.log() if "silent" in line] == ["/text: silent for 2.7 s"]
+    assert [line for line in drawn.log() if "silent" in line] == ["/text: silent for 2.71 s"]
 
 
 def test_of_messages_made_of_one_the_fullest_is_drawn(draw: Draw) -> None:

@@ -111,7 +111,7 @@ def test_without_a_writable_folder(tmp_path: Path) -> None:
         cache.compiled("tf2_msgs", [tmp_path / "file" / "a", tmp_path / "file" / "b"])
     assert str(error.value) == (
         f"tf2_msgs must be compiled once: found {tmp_path}/file/a not writable (Not a directory), and "
-        f"{tmp_path}/file/b not writable (Not a directory); expected a folder to write to with 25 MB free "
+        f"{tmp_path}/file/b not writable (Not a directory); expected a folder to write to with 25.0 MB free "
         "(XDG_CACHE_HOME=FOLDER names another)"
     )
 

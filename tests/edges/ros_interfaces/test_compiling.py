@@ -185,7 +185,7 @@ def test_a_full_disk_is_one_line_with_place_found_and_expected(tmp_path: Path, m
         compiling._folder_with_room("ROS message packages", [tmp_path / "a", tmp_path / "b"])
     assert str(error.value) == (
         f"ROS message packages must be compiled once: found {tmp_path}/a with 1.5 MB free, and {tmp_path}/b with "
-        "1.5 MB free; expected a folder to write to with 25 MB free (XDG_CACHE_HOME=FOLDER names another)"
+        "1.5 MB free; expected a folder to write to with 25.0 MB free (XDG_CACHE_HOME=FOLDER names another)"
     )
 
 
@@ -205,7 +205,7 @@ def test_a_disk_that_becomes_full_is_named(text: str, tmp_path: Path, monkeypatc
     with pytest.raises(ImportError) as error:
         compiling.compile_packages({"tf2_msgs": Path("key/tf2_msgs")}, [tmp_path / "cache"], tmp_path)
     assert str(error.value) == (
-        f"tf2_msgs could not be compiled: the disk of {tmp_path}/cache is full: found 1000.0 MB free, expected 25 MB"
+        f"tf2_msgs could not be compiled: the disk of {tmp_path}/cache is full: found 1.0 GB free, expected 25.0 MB"
     )
     assert list((tmp_path / "cache").iterdir()) == []
 
