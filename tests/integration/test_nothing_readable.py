@@ -1,4 +1,4 @@
-"""A file with nothing that can be read: each verb says so in one line, and leaves no file; 0 is for what was asked for.
+"""A file with nothing that can be read: each verb reports it in one line, leaves no file, and does not end with 0.
 
 Verbs whose answer is about the file itself answer: what `info` lists, what `verify` has to compare.
 """

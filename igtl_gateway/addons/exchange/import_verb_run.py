@@ -25,7 +25,7 @@ from igtl_gateway.addons.exchange.account import first_few
 from igtl_gateway.addons.exchange.formats import open_source
 from igtl_gateway.addons.exchange.source import ImportedStream, Source, numbered
 
-#: Entries that are no messages.
+#: Kinds of entries that have no message.
 _FACTS = (Kind.LINK, Kind.EDGE_NOTE)
 #: Streams that an error lists.
 _NAMED = 3
