@@ -31,6 +31,8 @@ START = 512
 _PART = re.compile(r"_[0-9]+\.(db3|mcap).*$")
 #: The file that shows a LeRobot data set.
 _SET = Path("meta/info.json")
+#: Suffix of a recipe for videos and tables of kinematics.
+_RECIPE = ".toml"
 #: The format of raw messages.
 IGTL = "igtl"
 _META_KEYS = (
@@ -162,10 +164,11 @@ def open_source(path: Path, epoch_ns: int | None = None, episodes: str = "") -> 
         raise NoSuchRecording(f"{path}: no such file{files.near_file(path)}")
     if episodes and not is_set(path):
         raise ConfigError("--episodes: found it with another source, expected a LeRobot data set")
+    opened: Source
     if path.is_dir():
         if is_set(path):
             with extras.in_use(LEROBOT):
-                opened: Source = part_of(LEROBOT, "set_source:open_set")(path, epoch_ns, DEFAULT_EPOCH_NS, episodes)
+                opened = part_of(LEROBOT, "set_source:open_set")(path, epoch_ns, DEFAULT_EPOCH_NS, episodes)
             return opened
         if is_bag(path):
             return Rosbag2(path)
@@ -173,6 +176,10 @@ def open_source(path: Path, epoch_ns: int | None = None, episodes: str = "") -> 
             f"{path}: found a directory without {METADATA} and {_SET}, expected a rosbag2 recording or a LeRobot data "
             "set"
         )
+    if path.suffix == _RECIPE:
+        with extras.in_use(LEROBOT):
+            opened = part_of(LEROBOT, "kinematics:open_kinematics")(path, epoch_ns, DEFAULT_EPOCH_NS)
+        return opened
     with library_errors_as_damage(path), files.open_file(path) as stream:
         start = stream.read(START)
     if path.name.endswith(".zstd"):

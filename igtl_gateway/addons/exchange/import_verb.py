@@ -39,6 +39,8 @@ EXAMPLES = """\
   # a LeRobot data set (v2.1, v3.0), or one of its episodes
   igtl-gateway import dataset/ -o session.mcap
   igtl-gateway import dataset/ -o episode.mcap --episodes 7
+  # videos with tables of kinematics, by a recipe (examples/kinematics.toml)
+  igtl-gateway import recipe.toml -o session.mcap
   # the bytes that an OpenIGTLink server sent
   igtl-gateway import probe.s2c.igtl -o session.mcap
   # OpenIGTLink in captured TCP, both directions

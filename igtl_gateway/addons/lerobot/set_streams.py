@@ -112,12 +112,21 @@ def values_of(table: pa.Table, name: str, width: int, place: str) -> Array:
     return np.asarray(array.to_numpy(zero_copy_only=False)).reshape(table.num_rows, width)
 
 
-def joint_messages(names: tuple[str, ...], values: Array, times: Times) -> Iterator[Buffer]:
-    """Yield the JointState of each row (N, K) at its time."""
-    nothing = np.empty(0)
-    first = JointState(Header(0, ""), names, np.zeros(len(names)), nothing, nothing).pack()
-    at = len(first) - 8 - 8 * len(names)  # before two empty sequences
-    return _copies(first, at, np.ascontiguousarray(values, "<f8"), times)
+def joint_messages(
+    names: tuple[str, ...], position: Array, times: Times, velocity: Array | None = None, effort: Array | None = None
+) -> Iterator[Buffer]:
+    """Yield the JointState of each row at its time: positions (N, K), and velocities and efforts (N, K) or (N, 0)."""
+    parts = [np.empty((len(position), 0)) if each is None else each for each in (position, velocity, effort)]
+    first = JointState(Header(0, ""), names, *(np.zeros(each.shape[1]) for each in parts)).pack()
+    # CDR: the length of a sequence, and its numbers at a multiple of 8 bytes behind the head
+    pieces, at = list[tuple[int, Array]](), len(JointState(Header(0, ""), names).pack()) - 12
+    for each in parts:
+        at += 4
+        if each.shape[1]:
+            at = 4 + -(-(at - 4) // 8) * 8
+            pieces.append((at, np.ascontiguousarray(each, "<f8")))
+            at += 8 * each.shape[1]
+    return _copies(first, pieces, times)
 
 
 def pose_messages(values: Array, times: Times, frame: str) -> Iterator[Buffer | None]:
@@ -125,7 +134,7 @@ def pose_messages(values: Array, times: Times, frame: str) -> Iterator[Buffer | 
     with np.errstate(invalid="ignore", over="ignore"):
         good = np.isfinite(values).all(axis=1) & (np.abs(np.linalg.norm(values[:, 3:], axis=1) - 1) <= _UNIT)
     first = PoseStamped(Header(0, frame), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)).pack()
-    packed = _copies(first, len(first) - 56, np.ascontiguousarray(values, "<f8"), times)
+    packed = _copies(first, [(len(first) - 56, np.ascontiguousarray(values, "<f8"))], times)
     return (each if is_good else None for each, is_good in zip(packed, good.tolist(), strict=True))
 
 
@@ -142,7 +151,7 @@ def array_messages(
     )
     data = np.ascontiguousarray(values, f"<{number}")
     first = MULTI_ARRAYS[number](MultiArrayLayout(dims), np.zeros(prod(shape), number)).pack()
-    return _copies(first, len(first) - data.itemsize * prod(shape), data, None)
+    return _copies(first, [(len(first) - data.itemsize * prod(shape), data)], None)
 
 
 def still_messages(column: pa.ChunkedArray, times: Times, frame: str, place: str) -> Iterator[Buffer]:
@@ -159,14 +168,14 @@ def still_messages(column: pa.ChunkedArray, times: Times, frame: str, place: str
         yield CompressedImage(Header(time_ns, frame), form, data).pack()
 
 
-def _copies(first: bytes, at: int, values: Array, times: Times | None) -> Iterator[Buffer]:
-    """Yield the bytes of a message with the values of each row (N, K) from ``at`` on, and its stamp at the start."""
-    many = max(_BLOCK // len(first), 1)
-    for begin in range(0, len(values), many):
-        some = values[begin : begin + many]
-        rows = np.tile(np.frombuffer(first, np.uint8), (len(some), 1))
-        raw = some.view(np.uint8).reshape(len(some), -1)
-        rows[:, at : at + raw.shape[1]] = raw
+def _copies(first: bytes, pieces: Sequence[tuple[int, Array]], times: Times | None) -> Iterator[Buffer]:
+    """Yield the bytes of a message with the numbers (N, K) of each piece from its place on, and with its stamp."""
+    many, count = max(_BLOCK // len(first), 1), len(pieces[0][1])
+    for begin in range(0, count, many):
+        rows = np.tile(np.frombuffer(first, np.uint8), (min(many, count - begin), 1))
+        for at, values in pieces:
+            raw = values[begin : begin + many].view(np.uint8).reshape(len(rows), -1)
+            rows[:, at : at + raw.shape[1]] = raw
         if times is not None:
             own = times[begin : begin + many]
             stamps = np.stack([own // NS_PER_S, own % NS_PER_S], axis=1).astype("<u4")
