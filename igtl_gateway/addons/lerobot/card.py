@@ -9,6 +9,7 @@ from igtl_gateway.addon import __version__
 from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addon.untrusted import printable
 from igtl_gateway.addons.lerobot.card_streams import Facts
+from igtl_gateway.addons.lerobot.depth import step_of
 from igtl_gateway.addons.lerobot.frames import Plan
 from igtl_gateway.addons.lerobot.recipe import Recipe
 from igtl_gateway.addons.lerobot.splits import MOST_LISTED, divided, listed
@@ -152,6 +153,10 @@ def _representation(plan: Plan, name: str) -> str:
         if each.pictures is not None:
             (rows, columns), (high, wide) = each.pictures.size, each.pictures.padded
             padding = f", repeated to {wide} × {high}" if (high, wide) != (rows, columns) else ""
+            if each.row.depth_mm:
+                near, far = each.row.depth_mm
+                padding += f", depth from {near:g} to {far:g} mm in steps of {step_of(each.row.depth_mm):.4g} mm"
+                padding += f"; unknown depth is {near:g} mm"
             window = f", {each.row.window[0]:g} is black and {each.row.window[1]:g} is white" if each.row.window else ""
             found.append(f"{columns} × {rows} pixels{padding}{window}")
     return "; ".join(dict.fromkeys(found))

@@ -23,6 +23,7 @@ from igtl_gateway.addon import GatewayError
 from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addons.lerobot.assembling import number_totals
 from igtl_gateway.addons.lerobot.columns import is_numeric, matrix_of
+from igtl_gateway.addons.lerobot.depth import has_codes
 from igtl_gateway.addons.lerobot.features import ARROW, TEXTS, is_depth, is_picture, picture_size, stats_shapes
 from igtl_gateway.addons.lerobot.reading import FoundDataSet, FoundEpisode, read_total_stats
 from igtl_gateway.addons.lerobot.stats import QUANTILES, PictureStats, Stats, joined_stats, number_stats
@@ -111,7 +112,7 @@ class StatsCheck:
     def pictures(self, episode: FoundEpisode, name: str, seen: PictureStats) -> Iterator[str]:
         """Yield the wrong statistics of the pictures of an episode, of which ``seen`` are the sampled ones."""
         feature = self._found.info["features"][name]
-        if not seen.pictures or is_depth(feature):
+        if not seen.pictures or (is_depth(feature) and not has_codes(feature)):
             self._incomplete.add(name)
             return
         self._pictures.setdefault(name, PictureStats()).join(seen)
@@ -119,7 +120,9 @@ class StatsCheck:
             stats = episode.read_stats().get(name)
         except GatewayError:
             return  # reported with the numbers
-        yield from _difference(f"episode {episode.index}: stats of {name}", stats, seen.stats(), _of_pictures(feature))
+        yield from _difference(
+            f"episode {episode.index}: stats of {name}", stats, seen.stats(), _of_pictures(feature, seen)
+        )
 
     def total(self) -> Iterator[str]:
         """Yield the wrong statistics of the whole set, which v3.0 has: without them readers search the network."""
@@ -144,7 +147,8 @@ class StatsCheck:
             if name in self._incomplete:
                 continue
             if name in self._pictures:
-                yield from _difference(place, own, self._pictures[name].stats(), _of_pictures(feature))
+                pictures = self._pictures[name]
+                yield from _difference(place, own, pictures.stats(), _of_pictures(feature, pictures))
             elif name in self._numbers:
                 joined = joined_stats(self._numbers[name])
                 wrong = list(_difference(place, own, joined, _NUMBERS))
@@ -269,11 +273,11 @@ def _are_numbers(stats: Any, expected: Stats) -> bool:
     )
 
 
-def _of_pictures(feature: Mapping[str, Any]) -> Mapping[str, float]:
-    """The tolerances of pictures, of large ones without the darkest and the brightest."""
-    if max(picture_size(feature)) < _THINNED:
-        return _PICTURES
-    return {name: tolerance for name, tolerance in _PICTURES.items() if name not in ("min", "max")}
+def _of_pictures(feature: Mapping[str, Any], pictures: PictureStats) -> Mapping[str, float]:
+    """The tolerances of pictures on the scale of their values, of large ones without the darkest and the brightest."""
+    left_out = ("min", "max") if max(picture_size(feature)) >= _THINNED else ()
+    scale = pictures.high - pictures.low
+    return {name: tolerance * scale for name, tolerance in _PICTURES.items() if name not in left_out}
 
 
 def _form(place: str, feature: Mapping[str, Any], stats: Any, frames: int) -> Iterator[str]:

@@ -12,11 +12,12 @@ import numpy.typing as npt
 from igtl_gateway.addon import GatewayError
 from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addons.lerobot.checking_stats import StatsCheck
+from igtl_gateway.addons.lerobot.depth import PIXEL_FORMAT, has_codes, no_stats
 from igtl_gateway.addons.lerobot.episodes import TOLERANCE_S
 from igtl_gateway.addons.lerobot.features import picture_size
 from igtl_gateway.addons.lerobot.reading import FoundDataSet, FoundEpisode, VideoPart
 from igtl_gateway.addons.lerobot.stats import PictureStats, sampled
-from igtl_gateway.addons.lerobot.video import read_video
+from igtl_gateway.addons.lerobot.video import RGB, read_video
 
 Array = npt.NDArray[Any]
 Parts = list[tuple[FoundEpisode, VideoPart]]
@@ -34,6 +35,11 @@ def size_of(found: FoundDataSet, name: str) -> tuple[int, int]:
     return picture_size(found.info["features"][name])
 
 
+def form_of(found: FoundDataSet, name: str) -> str:
+    """Return the form in which the frames of a video are read."""
+    return PIXEL_FORMAT if has_codes(found.info["features"][name]) else RGB
+
+
 def by_file(found: FoundDataSet, name: str) -> dict[Path, Parts]:
     """Return the files of a feature, each with its episodes in order."""
     files: dict[Path, Parts] = {}
@@ -48,7 +54,7 @@ def _check_file(found: FoundDataSet, name: str, path: Path, parts: Parts, stats:
     seen: dict[int, PictureStats] = {}
     owners, chosen = _owners(parts), set[int]()
     try:
-        for at, picture in read_video(path, size_of(found, name)):
+        for at, picture in read_video(path, size_of(found, name), form_of(found, name)):
             times.append(at)
             if len(times) > total:
                 break
@@ -56,7 +62,10 @@ def _check_file(found: FoundDataSet, name: str, path: Path, parts: Parts, stats:
             if frame == 0:
                 chosen = set(sampled(episode.length).tolist())
             if frame in chosen:
-                seen.setdefault(episode.index, PictureStats()).add(picture)
+                own = seen.get(episode.index) or no_stats(found.info["features"][name])
+                if own is not None:
+                    own.add(picture)
+                    seen[episode.index] = own
     except GatewayError as error:
         yield str(error)
         return
@@ -91,6 +100,7 @@ def _times(times: Array, parts: Parts, fps: int) -> Iterator[str]:
 def pictures_of(
     found: FoundDataSet, name: str, path: Path, parts: Parts
 ) -> Iterator[tuple[FoundEpisode, int, npt.NDArray[np.uint8]]]:
-    """Yield episode, frame number and picture of a file, in order.  Raises GatewayError."""
-    for (episode, frame), (_, picture) in zip(_owners(parts), read_video(path, size_of(found, name)), strict=False):
+    """Yield episode, frame number and picture of a file, as ``read_video`` has it.  Raises GatewayError."""
+    pictures = read_video(path, size_of(found, name), form_of(found, name))
+    for (episode, frame), (_, picture) in zip(_owners(parts), pictures, strict=False):
         yield episode, frame, picture

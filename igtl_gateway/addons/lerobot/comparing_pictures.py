@@ -14,7 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.addon import GatewayError
+from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addons.lerobot.checking_videos import Parts, by_file, pictures_of
+from igtl_gateway.addons.lerobot.depth import depth_of
 from igtl_gateway.addons.lerobot.frames import Plan
 from igtl_gateway.addons.lerobot.pictures import Pictures
 from igtl_gateway.addons.lerobot.reading import FoundDataSet
@@ -58,7 +60,8 @@ class PictureCheck:
 
     def stats(self, episode: int) -> Stats:
         """Return the statistics of the pictures of an episode of the session, of which the exporter takes samples."""
-        found = PictureStats()
+        pictures = self._samples.pictures
+        found = pictures.no_stats() if pictures else PictureStats()
         for frame in sampled(self._plan.episodes[episode].count).tolist():
             found.add(self._picture(episode, frame))
         self.total.join(found)
@@ -71,7 +74,7 @@ class PictureCheck:
             return  # the rules and the features have it
         for path, parts in by_file(self._found, self._name).items():
             try:
-                yield from self._file(path, parts, pictures)
+                yield from (self._depths if self._samples.row.depth_mm else self._file)(path, parts, pictures)
             except GatewayError as error:
                 yield f"{self._name}: {error}"
 
@@ -111,6 +114,23 @@ class PictureCheck:
                     )
         if not is_usual and listed < _MOST:
             yield from self._losses(path, parts, pictures, others)
+
+    def _depths(self, path: Path, parts: Parts, _pictures: Pictures) -> Iterator[str]:
+        """Frames of depth that differ from the recording by anything: their video is lossless."""
+        listed, window = 0, self._samples.row.depth_mm
+        for episode, frame, picture in pictures_of(self._found, self._name, path, parts):
+            own = self._own(episode.index - self._plan.place.episode, frame)
+            expected = self._of(own)
+            differ = picture != expected
+            if differ.any() and listed < _MOST:
+                listed += 1
+                row, column = (int(each[0]) for each in np.nonzero(differ)[:2])
+                one, two = (depth_of(each[row, column, 0], window) for each in (picture, expected))
+                yield (
+                    f"episode {episode.index}: {self._name}: frame {frame}: found {one:.6g} mm at pixel ({column}, "
+                    f"{row}), expected {two:.6g} mm of entry {self._samples.entries[own]} "
+                    f"({count_text(int(differ.sum()), 'pixel')})"
+                )
 
     def _losses(self, path: Path, parts: Parts, pictures: Pictures, others: set[int]) -> Iterator[str]:
         """Frames that differ by more than coding does; ``others`` are reported already."""

@@ -314,3 +314,5 @@ def _row(feature: Feature) -> Iterator[str]:
     values |= {name: getattr(feature, name) for name in ("fields", "window", "rule") if getattr(feature, name)}
     values["tolerance_ms"] = "any" if feature.tolerance_ms is None else feature.tolerance_ms
     yield from (f"{name} = {toml_value(value)}" for name, value in values.items())
+    if feature.window:
+        yield '# of depth, format = "v3.0" and depth_mm = [0, 4095] instead of window keep each millimetre'

@@ -13,6 +13,8 @@ import pyarrow as pa
 from pyarrow import parquet
 
 from igtl_gateway.addon.writing import make_folder, open_new, write_text
+from igtl_gateway.addons.lerobot.depth import CODEC as DEPTH_CODEC
+from igtl_gateway.addons.lerobot.depth import has_codes
 from igtl_gateway.addons.lerobot.episodes import TOLERANCE_S
 from igtl_gateway.addons.lerobot.stats import QUANTILES, Stats
 from igtl_gateway.addons.lerobot.video import VideoFile
@@ -47,6 +49,10 @@ class Facts:
     sizes: Mapping[str, tuple[int, int]]
     features: Mapping[str, Any]
     robot_type: str
+
+    def codec_of(self, name: str) -> str:
+        """Return the codec of the video of a feature."""
+        return DEPTH_CODEC if has_codes(self.features[name]) else self.codec
 
 
 class Layout(Protocol):
@@ -142,7 +148,7 @@ class _Version21:
 
     def video(self, name: str, episode: int, _count: int) -> VideoFile:
         path = self.root / file_of("v2.1", "video_path", episode, name)
-        return VideoFile(path, self.facts.sizes[name], self.facts.fps, self.facts.codec)
+        return VideoFile(path, self.facts.sizes[name], self.facts.fps, self.facts.codec_of(name))
 
     def end_video(self, _name: str, _episode: int, video: VideoFile) -> None:
         video.close()
@@ -192,7 +198,7 @@ class _Version30:
                 is_open, number = None, number + 1
         if is_open is None:
             path = self.root / file_of("v3.0", "video_path", number, name)
-            file = VideoFile(path, self.facts.sizes[name], fps, self.facts.codec)
+            file = VideoFile(path, self.facts.sizes[name], fps, self.facts.codec_of(name))
             is_open = self.videos[name] = _OpenVideo(number, file)
         self.places |= {
             f"videos/{name}/chunk_index": is_open.number // CHUNK,

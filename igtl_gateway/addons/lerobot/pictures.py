@@ -1,4 +1,4 @@
-"""The pictures of a stream as RGB of 8 bits, of one size with even width and height.
+"""The pictures of a stream as RGB of 8 bits, or as codes of depth, of one size with even width and height.
 
 Every form of a picture gives the pixels that it stands for, or is refused by name; a window applies to all of them.
 """
@@ -32,8 +32,10 @@ from igtl_gateway.addon.ros import CompressedImage, CompressedVideo, Volume
 from igtl_gateway.addon.ros import Image as RosImage
 from igtl_gateway.addon.streams import Images, find_row
 from igtl_gateway.addon.terminal import counted
+from igtl_gateway.addons.lerobot.depth import LEAST_SIZE, codes_of, depth_stats, millimetres, outside
+from igtl_gateway.addons.lerobot.stats import PictureStats
 
-Pixels = npt.NDArray[np.uint8]
+Pixels = npt.NDArray[Any]
 Array = npt.NDArray[Any]
 
 _PLAIN = frozenset({"IMAGE", RosImage.TYPE, Volume.TYPE})
@@ -66,19 +68,21 @@ class Pictures:
         stream: IMAGE, VIDEO, sensor_msgs/Image, CompressedImage, CompressedVideo, or Volume with one slice.
         window: (low, high) values that become black and white; needed for more than 8 bits.  Depth that
             compressed_depth_image_transport has quantised is in metres again.
+        depth_mm: (low, high) depth of the first and the last code, for pictures of one component.
 
     Attributes:
         usable: indices of the messages that have a picture.
         size: rows and columns of the recorded pictures.
+        pixels, outside: number of pixels, and of those whose depth is unknown or outside of ``depth_mm``.
 
     Raises ConfigError for other types, for a size that changes, for encodings that are not read, and for more than
     8 bits without a window.
     """
 
-    def __init__(self, stream: Stream, window: tuple[float, ...] = ()) -> None:
+    def __init__(self, stream: Stream, window: tuple[float, ...] = (), depth_mm: tuple[float, ...] = ()) -> None:
         if not has_pictures(stream):
             raise ConfigError(f"found type {stream.type} in {stream.key}, expected pictures")
-        self._window, self._key = window, stream.key
+        self._window, self._depth_mm, self._key = window, depth_mm, stream.key
         self._read: Callable[[int], Pixels | None]
         if stream.type in _PLAIN:
             images = stream.images()
@@ -87,13 +91,25 @@ class Pictures:
             coded = _Coded(stream)
             self._read, count = lambda index: self._coded(coded, index), len(coded)
         self.size = (0, 0)
+        self.pixels = self.outside = 0
         self.usable = np.array([index for index in range(count) if self._fits(index)], np.int64)
 
+    def no_stats(self) -> PictureStats:
+        """Return statistics of no picture, to which those of the stream can be added."""
+        if not self._depth_mm:
+            return PictureStats()
+        return depth_stats(self._depth_mm)
+
     def rgb(self, index: int) -> Pixels:
-        """Return a usable picture: (rows, columns, 3), with rows and columns repeated to even numbers."""
+        """Return a usable picture, with rows and columns repeated to even numbers.
+
+        Returns (rows, columns, 3) uint8; of depth (rows, columns, 1) uint16, codes.
+        """
         picture = self._read(index)
         if picture is None:
             raise GatewayError(f"{self._key}: found no picture in message {index}, expected one")
+        if self._depth_mm:
+            picture = codes_of(picture, self._depth_mm)
         rows, columns = picture.shape[:2]
         return np.pad(picture, ((0, rows % 2), (0, columns % 2), (0, 0)), "edge")
 
@@ -112,6 +128,12 @@ class Pictures:
         if size != self.size:
             raise ConfigError(f"{self._key}: found a picture of {size[1]} × {size[0]} pixels in message {index}, "
                               f"expected {self.size[1]} × {self.size[0]} as before")  # fmt: skip
+        if self._depth_mm:
+            if min(size) < LEAST_SIZE:
+                raise ConfigError(f"{self._key}: found depth of {size[1]} × {size[0]} pixels, expected at least "
+                                  f"{LEAST_SIZE} × {LEAST_SIZE}")  # fmt: skip
+            self.pixels += picture.size
+            self.outside += outside(picture, self._depth_mm)
         return True
 
     def _plain(self, images: Images, index: int) -> Pixels | None:
@@ -127,7 +149,10 @@ class Pictures:
             return None
         if not plane.size:
             return None
-        if pattern := bayer_pattern(view.encoding):
+        pattern = bayer_pattern(view.encoding)
+        if self._depth_mm and not pattern:
+            return self._depth(plane)
+        if pattern:
             return self._eight_bits(demosaiced(np.ascontiguousarray(plane), pattern), False)
         return self._eight_bits(plane, bool(view.encoding) and pixel_layout(view.encoding)[2])
 
@@ -136,9 +161,19 @@ class Pictures:
             picture = coded.read(index)
         except ConversionError as error:
             raise ConfigError(f"{self._key}: message {index}: {error}") from None
-        return None if picture is None else self._eight_bits(picture, False)
+        if picture is None:
+            return None
+        return self._depth(picture) if self._depth_mm else self._eight_bits(picture, False)
+
+    def _depth(self, plane: Array) -> Array:
+        """Depth in mm, (rows, columns, 1)."""
+        if plane.ndim == 3 and plane.shape[2] != 1:
+            raise ConfigError(f"{self._key}: found {counted(plane.shape[2], 'component')}, expected 1 for depth_mm")
+        return millimetres(plane if plane.ndim == 3 else plane[:, :, np.newaxis])
 
     def _eight_bits(self, plane: Array, is_blue_first: bool) -> Pixels:
+        if self._depth_mm:
+            raise ConfigError(f"{self._key}: found colours, expected depth for depth_mm")
         if plane.ndim == 2:
             plane = plane[:, :, np.newaxis]
         if plane.shape[2] not in (1, 3, 4):

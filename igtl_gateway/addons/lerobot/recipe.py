@@ -39,6 +39,7 @@ class Feature:
         lag: ``"measured"``: the lag behind ``against`` by ``sync`` is subtracted.
         against: key of the stream that the lag is measured against.
         window: (low, high) values that become black and white, for pictures of more than 8 bits.
+        depth_mm: (low, high) depth in mm of the lowest and the highest code of a video of 12 bits; empty: no depth.
         native: whether all messages are in a table of their own, too, at the rate of the stream.
         next_of: name of the feature whose next value this one has; then nothing but the name is set.
     """
@@ -56,6 +57,7 @@ class Feature:
     lag: str = ""
     against: str = ""
     window: tuple[float, ...] = ()
+    depth_mm: tuple[float, ...] = ()
     native: bool = False
     next_of: str = ""
 

@@ -34,6 +34,8 @@ from igtl_gateway.addons.lerobot.splits import PATIENT
 
 _FEATURE = re.compile(r"(action|observation)(\.[A-Za-z0-9_-]+)*")
 MAX_FPS, _MAX_MS, _MAX_TEXT = 1000, 3_600_000, 2000
+#: Largest depth that readers give in whole mm.
+_MAX_DEPTH_MM = 65_535
 #: Names of a split, characters of a name, and the error of a sum of shares.
 _MAX_NAMES, _MAX_PATTERN, _SHARES = 10_000, 200, 1e-6
 
@@ -124,6 +126,10 @@ _FEATURES: dict[str, Check] = {
     "lag": _choice(("measured",)),
     "against": (_foreign, f"a string of 1 to {_MAX_TEXT} characters"),
     "window": (_window, "two increasing numbers, such as [0, 4095]"),
+    "depth_mm": (
+        lambda value: _window(value) and 0 <= value[0] and value[1] <= _MAX_DEPTH_MM,
+        f"two increasing numbers of mm from 0 to {_MAX_DEPTH_MM:,}, such as [0, 4095]",
+    ),
     "native": _TRUTH,
     "next_of": _text(least=1),
 }
@@ -255,6 +261,11 @@ def _check_features(recipe: Recipe) -> None:
             raise ConfigError(f"{place}: found no stream, expected the key of a stream, or next_of")
         if row.is_picture and (row.name.count(".") != 2 or row.fields or row.names or row.rule == "interpolate"):
             raise ConfigError(f"{place}: found fields, names, interpolate or a further dot, expected a picture")
+        if row.depth_mm and (not row.is_picture or row.window):
+            raise ConfigError(f"{place}.depth_mm: found it with a window, or without a picture, expected a picture")
+        if row.depth_mm and recipe.format == "v2.1":
+            raise ConfigError(f'{place}.depth_mm: found it with format = "v2.1", expected "v3.0": readers of the other '
+                              "have 8 bits")  # fmt: skip
         if row.is_picture and row.native:
             raise ConfigError(f"{place}.native: found it for a picture, expected numbers or poses")
         if len(recipe.rows(row.name)) > 1 and (row.is_picture or row.next_of):

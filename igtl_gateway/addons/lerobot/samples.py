@@ -268,7 +268,7 @@ def _values(stream: Stream, row: Feature) -> tuple[str, Array, Any, tuple[str, .
     """Kind, indices of the usable messages, their values, names of the numbers, pictures."""
     stream.check_sender()
     if row.is_picture:
-        pictures = Pictures(stream, row.window)
+        pictures = Pictures(stream, row.window, row.depth_mm)
         rows = pictures.usable
         return "picture", rows, rows, (), pictures
     if has_pictures(stream):

@@ -11,6 +11,7 @@ import numpy as np
 
 from igtl_gateway.addon import DamagedRecording
 from igtl_gateway.addon.untrusted import parse_json, read_bytes, shape
+from igtl_gateway.addons.lerobot.depth import LEVELS as DEPTH_LEVELS
 from igtl_gateway.addons.lerobot.schema import RowFacts
 from igtl_gateway.addons.lerobot.stats import PictureStats
 
@@ -34,7 +35,13 @@ _ROW = shape.fields(
     ("row", "feature", "stream", "type", "names", "units", "size", "rate_hz"),
 )  # fmt: skip
 _PICTURES = shape.fields(
-    {"pictures": shape.number, "counts": shape.list_of(shape.list_of(shape.number))}, ("pictures", "counts")
+    {
+        "pictures": shape.number,
+        "counts": shape.list_of(shape.list_of(shape.number)),
+        "low": shape.anything,
+        "high": shape.anything,
+    },
+    ("pictures", "counts"),
 )
 _LIST = shape.fields(
     {
@@ -113,8 +120,13 @@ def read_session_list(root: Path) -> SessionList | None:
         if not isinstance(row["rate_hz"], int | float) or not 0 <= row["rate_hz"] < 1e9:
             raise shape.wrong(f"{path}: rows[{number}].rate_hz", row["rate_hz"], "a rate in Hz")
     for name, each in value["pictures"].items():
-        if [len(counts) for counts in each["counts"]] != [_LEVELS] * 3 or min(map(min, each["counts"])) < 0:
-            raise DamagedRecording(f"{path}: pictures.{name}.counts: expected 3 lists of {_LEVELS} numbers")
+        sizes = [len(counts) for counts in each["counts"]]
+        if sizes not in ([_LEVELS] * 3, [DEPTH_LEVELS]) or min(map(min, each["counts"])) < 0:
+            raise DamagedRecording(f"{path}: pictures.{name}.counts: expected 3 lists of {_LEVELS} numbers, or one of "
+                                   f"{DEPTH_LEVELS}")  # fmt: skip
+        for key in ("low", "high"):
+            if not isinstance(each.get(key, 0.0), int | float) or not 0 <= each.get(key, 0.0) < 1e6:
+                raise shape.wrong(f"{path}: pictures.{name}.{key}", each[key], "a depth in mm")
     sessions = (SetSession(**{**each, "notes": tuple(each["notes"])}) for each in value["sessions"])
     pictures = {name: pictures_of(each) for name, each in value["pictures"].items()}
     rows = tuple(RowFacts.of(each) for each in value["rows"])
@@ -123,7 +135,8 @@ def read_session_list(root: Path) -> SessionList | None:
 
 def pictures_of(value: Mapping[str, Any]) -> PictureStats:
     """Return the statistics that ``PictureStats.to_dict`` made a dictionary of."""
-    return PictureStats(np.array(value["counts"], np.int64), int(value["pictures"]))
+    counts = np.array(value["counts"], np.int64)
+    return PictureStats(counts, int(value["pictures"]), value.get("low", 0.0), value.get("high", 1.0))
 
 
 def joined_pictures(parts: Sequence[Mapping[str, PictureStats]]) -> dict[str, PictureStats]:

@@ -60,46 +60,56 @@ def _joined(low: Array, high: Array, means: Array, stds: Array, parts: list[Stat
 
 @dataclass(slots=True)
 class PictureStats:
-    """Statistics of pictures, per channel, on a scale of 0 to 1: exact for the pictures that were added.
+    """Statistics of pictures, per channel: exact for the pictures that were added.
 
     Attributes:
-        counts: (3, 256), how often each value occurs.
+        counts: (C, L), how often each value occurs: (3, 256) of colours, (1, 4096) of depth.
         pictures: number of pictures.
+        low, high: what the first and the last value stand for; depth in mm.
     """
 
     counts: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros((3, 256), np.int64))
     pictures: int = 0
+    low: float = 0.0
+    high: float = 1.0
 
-    def add(self, picture: npt.NDArray[np.uint8]) -> None:
-        """Add a picture (rows, columns, 3)."""
-        for channel in range(3):
-            self.counts[channel] += np.bincount(picture[:, :, channel].ravel(), minlength=256)
+    def add(self, picture: npt.NDArray[Any]) -> None:
+        """Add a picture (rows, columns, C)."""
+        channels, levels = self.counts.shape
+        for channel in range(channels):
+            self.counts[channel] += np.bincount(picture[:, :, channel].ravel(), minlength=levels)
         self.pictures += 1
 
     def join(self, other: PictureStats) -> None:
-        """Add the pictures of others."""
+        """Add the pictures of others; without a picture, it becomes as those."""
+        if not self.pictures:
+            self.counts, self.low, self.high = np.zeros_like(other.counts), other.low, other.high
         self.counts += other.counts
         self.pictures += other.pictures
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as JSON."""
-        return {"pictures": self.pictures, "counts": self.counts.tolist()}
+        scale = {} if (self.low, self.high) == (0.0, 1.0) else {"low": self.low, "high": self.high}
+        return {"pictures": self.pictures, "counts": self.counts.tolist(), **scale}
 
     def stats(self) -> Stats:
-        """Return the statistics; each has the shape (3, 1, 1)."""
-        levels = np.arange(256) / 255
+        """Return the statistics; each has the shape (C, 1, 1)."""
+        channels, count = self.counts.shape
+        levels = self.low + np.arange(count) / (count - 1) * (self.high - self.low)
         total = self.counts.sum(axis=1)
         mean = self.counts @ levels / total
         found = {
             "min": levels[np.argmax(self.counts > 0, axis=1)],
-            "max": levels[255 - np.argmax(self.counts[:, ::-1] > 0, axis=1)],
+            "max": levels[count - 1 - np.argmax(self.counts[:, ::-1] > 0, axis=1)],
             "mean": mean,
             "std": np.sqrt(np.maximum(self.counts @ levels**2 / total - mean**2, 0)),
         }
         running = np.cumsum(self.counts, axis=1)
         for name, share in QUANTILES.items():
             found[name] = levels[np.argmax(running >= share * total[:, None], axis=1)]
-        return {name: each.reshape(3, 1, 1).tolist() for name, each in found.items()} | {"count": [self.pictures]}
+        return {name: each.reshape(channels, 1, 1).tolist() for name, each in found.items()} | {
+            "count": [self.pictures]
+        }
 
 
 def sampled(count: int) -> npt.NDArray[np.int64]:

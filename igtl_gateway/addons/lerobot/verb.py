@@ -226,7 +226,7 @@ def _summed(parts: Sequence[Part]) -> list[dict[str, Any]]:
         {
             **rows[0],
             **{name: sum(row[name] for row in rows) for name in (*_COUNTS, "within")},
-            "furthest_ms": max(row["furthest_ms"] for row in rows),
+            **{name: max(row[name] for row in rows) for name in ("furthest_ms", "outside")},
             "rate_hz": median([row["rate_hz"] for row in rows]),
         }
         for rows in every
@@ -249,6 +249,11 @@ def _sparse(facts: Sequence[Mapping[str, Any]], fps: int) -> list[dict[str, Any]
 
 
 def _print_sparse(facts: Sequence[Mapping[str, Any]], fps: int) -> None:
+    """What the frames have less of than the recording."""
+    for each in facts:
+        if each["outside"]:
+            text = f"{each['outside']:.1%} of the depth is unknown, or outside of depth_mm, and has one of its ends"
+            print_line(printable(f"note: {each['stream']}: {text}"))
     for each in _sparse(facts, fps):
         print_line(
             printable(

@@ -1,4 +1,7 @@
-"""Videos of a data set: constant frame rate, frame i at i / fps, a key frame at every second frame."""
+"""Videos of a data set: constant frame rate, frame i at i / fps, a key frame at every second frame.
+
+Those of depth are lossless: their codes of 12 bits are the depth.
+"""
 
 from __future__ import annotations
 
@@ -18,17 +21,25 @@ from igtl_gateway.addon.messages import MAX_PIXELS, import_av
 from igtl_gateway.addon.messages import VIDEO_THREADS as THREADS
 from igtl_gateway.addon.untrusted import Deadline, deadline_of, open_file
 from igtl_gateway.addon.writing import empty_file, make_folder
+from igtl_gateway.addons.lerobot import depth
 from igtl_gateway.addons.lerobot.mp4_samples import check_samples
 
-Pixels = npt.NDArray[np.uint8]
+Pixels = npt.NDArray[Any]
 
 KEY_FRAME_INTERVAL = 2
-PIXEL_FORMAT = "yuv420p"
-#: Codec → encoder and its options.  B-frames would delay the first picture.  The macroblock tree of x264 makes other
-#: bytes of the same small pictures from one time to the next; a key frame at every second one leaves it nothing to do.
-_ENCODERS: dict[str, tuple[str, dict[str, str]]] = {
-    "h264": ("libx264", {"preset": "veryfast", "crf": "18", "bf": "0", "mbtree": "0"}),
-    "av1": ("libsvtav1", {"preset": "10", "crf": "30"}),
+PIXEL_FORMAT, RGB = "yuv420p", "rgb24"
+#: x265 takes its options in one string.
+_LOSSLESS = (
+    f"lossless=1:keyint={KEY_FRAME_INTERVAL}:min-keyint={KEY_FRAME_INTERVAL}:scenecut=0:bframes=0:"
+    f"pools=none:frame-threads=1:info=0:log-level=none"
+)
+#: Codec → encoder, its options, its pixels, and those that it is given.  B-frames would delay the first picture.  The
+#: macroblock tree of x264 makes other bytes of the same small pictures from one time to the next; a key frame at every
+#: second one leaves it nothing to do.
+_ENCODERS: dict[str, tuple[str, dict[str, str], str, str]] = {
+    "h264": ("libx264", {"preset": "veryfast", "crf": "18", "bf": "0", "mbtree": "0"}, PIXEL_FORMAT, RGB),
+    "av1": ("libsvtav1", {"preset": "10", "crf": "30"}, PIXEL_FORMAT, RGB),
+    depth.CODEC: ("libx265", {"preset": "veryfast", "x265-params": _LOSSLESS}, depth.PIXEL_FORMAT, depth.PIXEL_FORMAT),
 }
 _BT601, _LIMITED = 6, 1  # AVCOL_SPC_SMPTE170M, AVCOL_RANGE_MPEG
 
@@ -40,14 +51,14 @@ class VideoFile:
         path: new file.
         size: rows and columns, both even.
         fps: frames per second.
-        codec: ``h264`` or ``av1``.
+        codec: ``h264``, ``av1``, or ``hevc`` for depth.
 
     Raises Unavailable where PyAV is missing or lacks the codec; OSError.
     """
 
     def __init__(self, path: Path, size: tuple[int, int], fps: int, codec: str) -> None:
         self._av = import_av()
-        encoder, options = _ENCODERS[codec]
+        encoder, options, pixels, self._given = _ENCODERS[codec]
         if encoder not in self._av.codecs_available:
             raise Unavailable(f"video codec {codec}: this PyAV has no {encoder}")
         os.environ.setdefault("SVT_LOG", "1")  # libsvtav1 writes its settings to stderr: errors only
@@ -56,7 +67,7 @@ class VideoFile:
         self._file = self._av.open(str(empty_file(path)), "w", format="mp4")
         self._stream = self._file.add_stream(encoder, rate=fps, options=options)
         self._stream.height, self._stream.width = size
-        self._stream.pix_fmt = PIXEL_FORMAT
+        self._stream.pix_fmt = pixels
         self._stream.codec_context.time_base = Fraction(1, fps)
         self._stream.codec_context.gop_size = KEY_FRAME_INTERVAL
         self._stream.codec_context.thread_count = THREADS
@@ -68,8 +79,9 @@ class VideoFile:
         return self.path.stat().st_size if self.path.exists() else 0
 
     def add(self, picture: Pixels) -> None:
-        """Add a picture (rows, columns, 3), RGB."""
-        frame = self._av.VideoFrame.from_ndarray(picture, format="rgb24")
+        """Add a picture: (rows, columns, 3) RGB, or of depth (rows, columns, 1) codes."""
+        plane = picture if self._given == RGB else picture[:, :, 0]
+        frame = self._av.VideoFrame.from_ndarray(plane, format=self._given)
         frame.pts, frame.time_base = self.count, self._stream.codec_context.time_base
         for packet in self._stream.encode(frame):
             self._file.mux(packet)
@@ -82,12 +94,13 @@ class VideoFile:
         self._file.close()
 
 
-def read_video(path: Path, size: tuple[int, int] | None = None) -> Iterator[tuple[float, Pixels]]:
-    """Yield time (s) and picture (rows, columns, 3) of the frames of a file.
+def read_video(path: Path, size: tuple[int, int] | None = None, form: str = RGB) -> Iterator[tuple[float, Pixels]]:
+    """Yield time (s) and picture of the frames of a file: (rows, columns, 3), or of depth (rows, columns, 1) codes.
 
     Args:
         path: an mp4 file.  Nothing else is opened: other formats may name further files.
         size: rows and columns of its pictures, if others are refused.
+        form: ``rgb24``, or ``gray12le`` for codes of depth.
 
     Raises:
         UnsupportedRecording: it is missing, or not an ordinary file.
@@ -102,7 +115,7 @@ def read_video(path: Path, size: tuple[int, int] | None = None) -> Iterator[tupl
             deadline.check(str(path))
             for frame in frames:
                 _check_size(path, (frame.height, frame.width), size)
-                picture = pixels_of(path, frame)
+                picture = pixels_of(path, frame, form)
                 with deadline.paused():
                     yield float(frame.time or 0.0), picture
 
@@ -129,12 +142,14 @@ def opened_video(path: Path) -> Iterator[tuple[Any, Deadline]]:
             raise DamagedRecording(f"{path}: cannot be decoded: {_reason(source.error or error)}") from None
 
 
-def pixels_of(path: Path, frame: Any) -> Pixels:
-    """Return the picture (rows, columns, 3) of a frame of PyAV.  Raises DamagedRecording."""
+def pixels_of(path: Path, frame: Any, form: str = RGB) -> Pixels:
+    """Return the picture of a frame of PyAV, as ``read_video`` does.  Raises DamagedRecording."""
     if frame.is_corrupt:
         raise DamagedRecording(f"{path}: cannot be decoded: found a damaged frame")
-    picture: Pixels = frame.to_ndarray(format="rgb24")
-    return picture
+    if form not in (RGB, frame.format.name):
+        raise DamagedRecording(f"{path}: found pixels of {frame.format.name}, expected {form}")
+    picture: Pixels = frame.to_ndarray(format=form)
+    return picture if form == RGB else picture[:, :, np.newaxis]
 
 
 class _Source:

@@ -12,6 +12,7 @@ from pyarrow import parquet
 
 from igtl_gateway.addon import UnsupportedRecording
 from igtl_gateway.addon.writing import check_folder, make_folder, open_new, write_text
+from igtl_gateway.addons.lerobot.depth import depth_info
 from igtl_gateway.addons.lerobot.frames import Episode, Plan
 from igtl_gateway.addons.lerobot.layout import Facts, Layout, layout_of
 from igtl_gateway.addons.lerobot.recipe import STAMPS, TIME
@@ -65,13 +66,14 @@ def facts_of(plan: Plan) -> Facts:
     for name in recipe.names:
         match plan.kind(name):
             case "picture":
-                pictures = plan.of(name)[0].pictures
+                pictures, depth_mm = plan.of(name)[0].pictures, plan.of(name)[0].row.depth_mm
                 size = sizes[name] = pictures.padded if pictures else (0, 0)
+                of_depth = depth_mm and depth_info(size, recipe.fps, depth_mm)
                 features[name] = {
                     "dtype": "video",
-                    "shape": [*size, 3],
+                    "shape": [*size, 1 if depth_mm else 3],
                     "names": ["height", "width", "channels"],
-                    "info": video_info(size, recipe.fps, recipe.codec),
+                    "info": of_depth or video_info(size, recipe.fps, recipe.codec),
                 }
             case "text":
                 features[name] = {"dtype": "string", "shape": [1], "names": [name.rpartition(".")[2]]}
@@ -147,7 +149,8 @@ def _write_episodes(plan: Plan, layout: Layout) -> dict[str, PictureStats]:
 
 
 def _write_video(plan: Plan, layout: Layout, episode: Episode, name: str, indices: Any) -> PictureStats:
-    pictures, stats, chosen = plan.of(name)[0].pictures, PictureStats(), set(sampled(episode.count).tolist())
+    pictures, chosen = plan.of(name)[0].pictures, set(sampled(episode.count).tolist())
+    stats = pictures.no_stats() if pictures else PictureStats()
     number = plan.place.episode + episode.index
     video = layout.video(name, number, episode.count)
     for frame, index in enumerate(indices.tolist() if pictures else ()):
