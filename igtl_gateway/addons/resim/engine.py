@@ -349,13 +349,24 @@ def _check_topics(recording: Path, replaced: Mapping[int, RecordedLink], options
 
 
 def _matches_nothing(one: Run, options: ResimOptions) -> str:
-    """What is wrong with outputs, and with topics to run without, that nothing has had in a run; ``""`` for nothing."""
+    """What is wrong with topics to run without that nothing has had in a run; ``""`` for nothing."""
     names = {*one.named, *(name.partition(IN_ACTION)[0] for name in one.named), *OF_EVERY_NODE}
     what = "topic of the recording or of a program"
     return "; ".join(
-        f"{option} {glob}: {unmatched(glob, names, what)}"
-        for option, globs in (("--output", options.outputs), ("--without", options.without))
-        for glob in without_match(globs, names)
+        f"--without {glob}: {unmatched(glob, names, what)}" for glob in without_match(options.without, names)
+    )
+
+
+def _unknown_outputs(roles: Roles, options: ResimOptions) -> str:
+    """What is wrong with outputs that neither the recording nor a program has at its start; ``""`` for nothing.
+
+    The option has no effect on a topic that only a program has: one that comes later is an output without it.
+    """
+    names = {*roles.inputs, *roles.outputs, *roles.between, *roles.missing, *roles.unused, *roles.refused}
+    names |= {*OF_EVERY_NODE, *(name.partition(IN_ACTION)[0] for name in names)}
+    what = "topic of the recording or of a program at its start"
+    return "; ".join(
+        f"--output {glob}: {unmatched(glob, names, what)}" for glob in without_match(options.outputs, names)
     )
 
 
@@ -379,6 +390,8 @@ def _run_once(
     def started(roles: Roles) -> None:
         one.start_s = (clock.monotonic_ns() - began_ns) / 1e9
         on_roles(roles)
+        if why := _unknown_outputs(roles, options):
+            raise ProgramFault(why)
         if why := _not_received(roles, options):
             raise ProgramFault(f"{why}; --without TOPIC runs the programs without it")
 

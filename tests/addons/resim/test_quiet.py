@@ -78,8 +78,10 @@ def test_a_topic_with_a_mistake_cannot_be_judged(
     path, command = recording(tmp_path / "in.mcap"), [*program("quiet", "all").command]
     words = ["resim", str(path), "--runs", "1", *options]
     assert main([*words, "--json", "--", *command]) == 2
-    fault = json.loads(capsys.readouterr().out)["fault"]
+    facts = json.loads(capsys.readouterr().out)
+    fault, (one,) = facts["fault"], facts["runs"]
     assert fault.startswith(f"{' '.join(options)}: matches no topic of the recording or of a program") and near in fault
+    assert ("/state" in one["outputs"]) is (options[0] == "--without"), "an output is judged before the first message"
     wrong = options[1]
     outputs, without = ((wrong,), ()) if options[0] == "--output" else ((), (wrong,))
     found = resim(path, command, runs=1, outputs=outputs, without=without)
@@ -138,7 +140,7 @@ def test_another_qos_is_a_difference(tmp_path: Path, what: str, text: str) -> No
     ("what", "fault"),
     [
         ("sleeps", "quiet: a callback did not return: it sleeps at the end of the session, for a year and more"),
-        ("awaits", "quiet: a callback did not return: it sleeps at the end of the session, for 999,999 s more"),
+        ("awaits", "quiet: a callback did not return: it sleeps at the end of the session, for 12 days more"),
         ("rests", ""),
         ("apart", ""),
     ],
