@@ -7,6 +7,7 @@ import math
 
 from igtl_gateway.app.comparison import RecordingDiff, compare_recordings
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.natural import natural
 from igtl_gateway.base.quantities import by_count, count_text, duration_text, offset_text
 from igtl_gateway.cli.losses import DIRECTIONS
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
@@ -40,9 +41,7 @@ def _print(options: argparse.Namespace, report: RecordingDiff) -> None:
         print_line(f"  stamps in messages: {_later(report.stamp_offset_ns)}")
     for path in report.by_entry:
         print_line(f"  {path}: an older version, read entry by entry")
-    title = ("stream", "A", "B", "missing", "extra", "different", "mm", "deg", "offset", "jitter")
-    rows = [title, *(_row(stream, report) for stream in report.streams)]
-    print_line(*aligned(rows, left=1))
+    print_line(*aligned(_table(report), left=1))
     for stream in report.streams:
         for line in _places(stream):
             print_line(f"{_name(stream)}: {line}")
@@ -58,10 +57,29 @@ def _later(offset_ns: float) -> str:
     return f"B is {duration_text(offset_ns)} {'later' if offset_ns > 0 else 'earlier'}" if offset_ns else "equal"
 
 
+def _table(report: RecordingDiff) -> list[tuple[str, ...]]:
+    """Return the rows, with the name of the side over its streams; columns without a number in any row are left out."""
+    title = ("stream", "A", "B", "missing", "extra", "different", "mm", "deg", "offset", "jitter")
+    found = [(stream, _row(stream, report)) for stream in sorted(report.streams, key=_order)]
+    columns = [0, 1, 2, *(at for at in range(3, len(title)) if any(row[at] for _, row in found))]
+    rows, side = [title], ""
+    for stream, row in found:
+        if stream.kind != side and stream.stream:
+            rows.append((_SIDES.get(stream.kind, stream.kind), *[""] * (len(title) - 1)))
+        side = stream.kind
+        rows.append(row)
+    return [tuple(row[at] for at in columns) for row in rows]
+
+
+def _order(stream: StreamDiff) -> tuple[int, list[tuple[int, str]]]:
+    """What is about the bridge first, then the sides, each in the order of its names."""
+    return (list(_SIDES).index(stream.kind) if stream.kind in _SIDES else -1), natural(stream.stream)
+
+
 def _row(stream: StreamDiff, report: RecordingDiff) -> tuple[str, ...]:
     paired = stream.messages - stream.missing
     return (
-        _name(stream),
+        f"  {stream.stream}" if stream.stream else _name(stream),
         *(f"{number:,}" for number in (stream.messages, stream.other_messages)),
         *(f"{number:,}" if number else "" for number in (stream.missing, stream.extra)),
         f"{stream.different + stream.restamped:,}" if stream.different + stream.restamped else "",

@@ -124,12 +124,12 @@ def _next_step(options: argparse.Namespace) -> str:
 
 def _print(account: ExportAccount, options: argparse.Namespace) -> None:
     rows = [*account.rows, *(part for part in account.parts if part.left_out)]
-    table: list[Sequence[str]] = [("  stream", "type", "found", "exported", "left out", "")]
+    table: list[Sequence[str]] = [("  stream", "found", "exported", "left out", "")]
     for row in rows:
         numbers = (f"{number:,}" for number in (row.declared, row.taken, row.left_out))
         why = row.why if row.unit == MESSAGES else f"{row.unit}: {row.why}"
-        table.append((f"{' ' if row.good else '!'} {row.stream}", row.type, *numbers, why))
-    print_line(*aligned(table, left=2, indent="", text=True))
+        table.append((f"{' ' if row.good else '!'} {row.stream}", *numbers, why))
+    print_line(*aligned(table, left=1, indent="", text=True))
     if account.others:
         others = count_text(sum(account.others.values()), "message")
         print_line(f"note: {others} of types that {options.to} cannot store: {first_few(sorted(account.others), 20)}")

@@ -111,11 +111,12 @@ def _row_facts(row: ImportedStream) -> dict[str, Any]:
 
 def _print(source: Source, facts: dict[str, Any], messages: int) -> None:
     print_line(source.title)
-    table: list[Sequence[str]] = [("  stream", "type", "found", "imported", "left out", "")]
+    table: list[Sequence[str]] = [("  stream", "found", "imported", "left out", "type")]
     for row in source.rows:
         numbers = (f"{number:,}" for number in (row.declared, row.taken, row.left_out))
-        table.append((f"{' ' if row.good else '!'} {row.stream}", row.type or row.unit, *numbers, row.why))
-    print_line(*aligned(table, left=2, indent="", text=True))
+        about = "; ".join(filter(None, (row.type or row.unit, row.why)))
+        table.append((f"{' ' if row.good else '!'} {row.stream}", *numbers, about))
+    print_line(*aligned(table, left=1, indent="", text=True))
     for note in facts["notes"]:
         print_line(f"note: {note}")
     if facts["failure"]:

@@ -6,7 +6,7 @@ import csv
 import shutil
 import textwrap
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -162,24 +162,35 @@ _TITLES = (
     ("stitch", ""),
     ("above tissue, mm", "entry"),
     ("", "exit"),
-    ("noise, mm", "entry"),
-    ("", "exit"),
-    ("spacing, mm", "entry"),
-    ("", "exit"),
+    ("noise", "mm"),
+    ("spacing", "mm"),
     ("bite, mm", "length"),
     ("", "depth"),
     ("points", "/mm²"),
     ("no", "depth"),
 )
-_TOOL_TITLES = (("tool, mm", "entry"), ("", "exit"), ("", "depth"))
+_TOOL_TITLES = (("stitch", ""), ("tool, mm", "entry"), ("", "exit"), ("", "depth"))
 
 
 def _print_plan(plan: PlanReview, colour: bool, with_tool: bool) -> None:
-    titles = _TITLES + (_TOOL_TITLES if with_tool else ())
-    table = [tuple(title[line] for title in titles) for line in (0, 1)]
-    table += [_row(stitch, with_tool) for stitch in plan.stitches]
+    _print_table(plan, colour, _TITLES, [_row(stitch) for stitch in plan.stitches], with_reasons=True)
+    if with_tool:
+        _print_table(plan, colour, _TOOL_TITLES, [_tool_row(stitch) for stitch in plan.stitches], with_reasons=False)
+
+
+def _print_table(
+    plan: PlanReview,
+    colour: bool,
+    titles: Sequence[tuple[str, str]],
+    rows: Sequence[tuple[str, ...]],
+    *,
+    with_reasons: bool,
+) -> None:
+    """Print a row for each stitch, in 80 columns; what is of both ends is the worse one of them."""
+    table = [*(tuple(title[line] for title in titles) for line in (0, 1)), *rows]
     # a title in the first line may lie over the columns to its right
-    widths = [max(len(row[column]) for row in table[1:]) for column in range(len(titles))]
+    alone = [bool(following) for following, _ in (*titles[1:], ("end", ""))]
+    widths = [max(len(row[column]) for row in table[0 if alone[column] else 1 :]) for column in range(len(titles))]
     widths[0] = width(row[0] for row in table)
     over = ""
     for column, (title, wide) in enumerate(zip(table[0], widths, strict=True)):
@@ -198,7 +209,7 @@ def _print_plan(plan: PlanReview, colour: bool, with_tool: bool) -> None:
         stitch = plan.stitches[number - 1]
         painted = colour and stitch.level is not Level.OK
         print_line(f"  {_MARKS[stitch.level]} {line}", colour=_COLOURS[stitch.level] if painted else "")
-        for reason in stitch.reasons:
+        for reason in stitch.reasons if with_reasons else ():
             for part in _wrapped(reason, room):
                 print_line(f"    {' ' * widths[0]}  {part}")
 
@@ -208,30 +219,34 @@ def _wrapped(text: str, room: int) -> list[str]:
     return textwrap.wrap(text, max(room, _NARROW)) if room else [text]
 
 
-def _row(stitch: StitchReview, with_tool: bool) -> tuple[str, ...]:
+def _row(stitch: StitchReview) -> tuple[str, ...]:
     ends = (stitch.entry, stitch.exit)
+    noise = [end.noise_mm for end in ends if end.noise_mm is not None]
+    spacing = [end.spacing_mm for end in ends if end.spacing_mm is not None]
     density = [end.density_mm2 for end in ends if end.density_mm2 is not None]
     missing = [end.missing for end in ends if end.missing is not None]
-    row = (
+    return (
         stitch.name,
         *(_off(end) for end in ends),
-        *(_mm(end.noise_mm) for end in ends),
-        *(_mm(end.spacing_mm, 1) for end in ends),
+        _mm(max(noise, default=None)),
+        _mm(min(spacing, default=None), 1),
         _mm(stitch.bite_length_mm, 1),
         _mm(stitch.bite_depth_mm, 1),
         f"{min(density):.1f}" if density else "–",
         f"{max(missing):.0%}" if missing else "–",
     )
-    if not with_tool:
-        return row
+
+
+def _tool_row(stitch: StitchReview) -> tuple[str, ...]:
+    ends = (stitch.entry, stitch.exit)
     tool = (_mm(end.executed.distance_mm) if end.executed and end.executed.reached else "–" for end in ends)
-    return (*row, *tool, _mm(stitch.driven_depth_mm, 1))
+    return (stitch.name, *tool, _mm(stitch.driven_depth_mm, 1))
 
 
 def _off(end: EndReview) -> str:
     if end.distance_mm is None or end.error_mm is None:
         return "–"
-    return f"{end.distance_mm:+.2f} ± {end.error_mm:.2f}"
+    return f"{end.distance_mm:+.2f}±{end.error_mm:.2f}"
 
 
 def _mm(value: float | None, digits: int = 2) -> str:
