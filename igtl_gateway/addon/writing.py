@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile.new_file import os_error_text as os_error_text
     from igtl_gateway.record.sessionfile.new_file import write_bytes as write_bytes
     from igtl_gateway.record.sessionfile.new_file import write_text as write_text
+    from igtl_gateway.record.sessionfile.replaced_folder import replaced_folder as replaced_folder
     from igtl_gateway.record.sessionfile.schemas import RosTypes as RosTypes
     from igtl_gateway.record.sessionfile.side_file import SIDE_FILE as SIDE_FILE
     from igtl_gateway.record.sessionfile.stream import McapStream as McapStream
@@ -45,6 +46,7 @@ __all__ = ["lock_handle"]
 HOMES: Homes = (
     # New files: written beside their place, moved there when they are whole
     ("record.sessionfile.whole_files", "check_folder check_target is_unfinished write_error written written_folder"),
+    ("record.sessionfile.replaced_folder", "replaced_folder"),
     (
         "record.sessionfile.new_file",
         "create_file empty_file make_folder open_new open_text os_error_text write_bytes write_text",

@@ -77,6 +77,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--parquet", type=output_file(".parquet"), metavar="FILE", help="query: write the answer as Parquet"
     )
     parser.add_argument("--recipe", type=Path, metavar="FILE", help="export: the recipe of the training set")
+    parser.add_argument(
+        "--append", action="store_true", help="export: add the sessions to the training set of -o, by its recipe"
+    )
     parser.add_argument("--html", type=output_file(".html"), metavar="FILE", help="report: the page to write")
     add_overwrite(parser)
     group = parser.add_argument_group("where the files are read")
@@ -119,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    for name, action in (("csv", QUERY), ("parquet", QUERY), ("html", REPORT), ("recipe", EXPORT)):
+    for name, action in (("csv", QUERY), ("parquet", QUERY), ("html", REPORT), ("recipe", EXPORT), ("append", EXPORT)):
         if getattr(options, name) and options.action != action:
             raise ConfigError(f"--{name}: found it with {options.action}, expected it with {action}")
     if options.action == QUERY:
@@ -217,8 +220,8 @@ def _run_export(options: argparse.Namespace) -> int:
     from igtl_gateway.addons.cohort.exporting import LEROBOT, run_export
 
     check_present(LEROBOT)
-    if options.recipe is None:
-        raise ConfigError("cohort export: found no --recipe, expected the recipe of the training set")
+    if options.recipe is None and not options.append:
+        raise ConfigError("cohort export: found no --recipe, expected the recipe of the training set, or --append")
     return run_export(options, _place(options))
 
 

@@ -17,8 +17,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pyarrow as pa
 
 from igtl_gateway.addon import DamagedRecording
+from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addon.untrusted import parquet_columns, read_bytes
 from igtl_gateway.addon.writing import make_folder, write_bytes, write_text
 from igtl_gateway.addons.lerobot.card import CardFacts, card
@@ -39,10 +41,13 @@ from igtl_gateway.addons.lerobot.recipe import Recipe
 from igtl_gateway.addons.lerobot.schema import Described, RowFacts, Schema
 from igtl_gateway.addons.lerobot.session_list import SESSIONS, SessionList, SetSession, joined_pictures, pictures_of
 from igtl_gateway.addons.lerobot.splits import ranges_of
-from igtl_gateway.addons.lerobot.stats import Stats, number_stats
+from igtl_gateway.addons.lerobot.stats import Stats, bounded_stats, number_stats
 from igtl_gateway.addons.lerobot.writing import CARD, DATA, EPISODES, PROVENANCE, RECIPE, SYNCHRONIZATION
 
 Array = npt.NDArray[Any]
+
+#: Keys of info.json that follow from the episodes; all others of an older set stay as they are.
+_TOTALS = ("total_episodes", "total_frames", "total_tasks", "total_videos", "total_chunks", "splits")
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +80,9 @@ class SetSoFar:
         splits: of each episode.
         data_files, video_files: number of the next file, of v3.0.
         episode_files: number of the next file of ``meta/episodes``, of v3.0.
+        episode_schema: columns of these files; None before the first one.
+        info, stats: info.json and stats.json, of which keys that are not ours stay.
+        checksums: SHA-256 of the files that do not change.
     """
 
     sessions: SessionList = field(default_factory=SessionList)
@@ -85,6 +93,10 @@ class SetSoFar:
     data_files: int = 0
     video_files: dict[str, int] = field(default_factory=dict)
     episode_files: int = 0
+    episode_schema: pa.Schema | None = None
+    info: Mapping[str, Any] = field(default_factory=dict)
+    stats: Mapping[str, Any] = field(default_factory=dict)
+    checksums: Mapping[str, str] = field(default_factory=dict)
 
 
 def assemble(root: Path, recipe: Recipe, text: bytes, schema: Schema, so_far: SetSoFar, parts: Sequence[Part]) -> None:
@@ -121,15 +133,21 @@ def assemble(root: Path, recipe: Recipe, text: bytes, schema: Schema, so_far: Se
         _add_lines(new, rows, so_far.tasks)
     else:
         write_table(new.path("meta/tasks.parquet"), task_table(so_far.tasks))
-        pictures = {name: each.stats() for name, each in so_far.sessions.pictures.items()}
-        write_json(new.path("meta/stats.json"), pictures | number_totals(root, schema.features))
+        numbers = number_totals(root, schema.features)
+        if numbers["index"]["count"] != [so_far.frames]:
+            raise DamagedRecording(
+                f"{root}/data: found {count_text(numbers['index']['count'][0], 'frame')}, expected {so_far.frames:,}"
+            )
+        pictures = picture_totals(so_far, parts)
+        write_json(new.path("meta/stats.json"), {**so_far.stats, **pictures, **numbers})
     sizes = {name: (0, 0) for name, each in schema.features.items() if each["dtype"] == "video"}
     splits = split_ranges(parts, so_far)
     info = info_of(
         version, Facts(recipe.fps, recipe.codec, sizes, schema.features, recipe.robot_type),
         episodes=so_far.episodes, frames=so_far.frames, tasks=len(so_far.tasks), splits=splits,
     )  # fmt: skip
-    write_json(new.path("meta/info.json"), info)
+    kept = {name: value for name, value in so_far.info.items() if name not in _TOTALS}
+    write_json(new.path("meta/info.json"), info | kept)
     write_bytes(new.path(f"meta/{RECIPE}"), text)
     before = meta / SYNCHRONIZATION
     lines = read_bytes(before).decode("utf-8", "replace") if before.exists() else ""
@@ -137,7 +155,7 @@ def assemble(root: Path, recipe: Recipe, text: bytes, schema: Schema, so_far: Se
         lines += ("\n" if lines else "") + (part.folder / SYNCHRONIZATION).read_text("utf-8")
     write_text(new.path(f"meta/{SYNCHRONIZATION}"), lines)
     _write_card(new, recipe, schema, so_far, parts, splits)
-    write_checksums(root)
+    write_checksums(root, so_far.checksums)
 
 
 def split_ranges(parts: Sequence[Part], so_far: SetSoFar) -> dict[str, str]:
@@ -198,8 +216,24 @@ def _add_version30(root: Path, part: Part, rows: list[dict[str, Any]], so_far: S
         else:
             so_far.video_files[key.partition("/")[2]] = firsts[key] + count
     chunk, file = divmod(so_far.episode_files, CHUNK)
-    write_table(root / f"meta/episodes/chunk-{chunk:03d}/file-{file:03d}.parquet", episodes_table(rows))
+    table = episodes_table(rows)
+    path = root / f"meta/episodes/chunk-{chunk:03d}/file-{file:03d}.parquet"
+    if so_far.episode_schema is None:
+        so_far.episode_schema = table.schema
+    write_table(path, _conformed(table, so_far.episode_schema, path))
     so_far.episode_files += 1
+
+
+def _conformed(table: pa.Table, schema: pa.Schema, path: Path) -> pa.Table:
+    """A table with these columns: LeRobot reads all files about episodes with those of the first one."""
+    try:
+        columns = [
+            table[each.name].cast(each.type) if each.name in table.schema.names else pa.nulls(table.num_rows, each.type)
+            for each in schema
+        ]
+    except pa.ArrowException as error:
+        raise DamagedRecording(f"{path.parent}: found columns of other types in the first file: {error}") from None
+    return pa.table(columns, schema=schema)
 
 
 def _count(so_far: SetSoFar, part: Part) -> None:
@@ -236,6 +270,25 @@ def _add_lines(new: _New, rows: list[dict[str, Any]], tasks: Sequence[str]) -> N
         write_text(new.path(f"meta/{name}.jsonl"), old + end + lines)
 
 
+def picture_totals(so_far: SetSoFar, parts: Sequence[Part]) -> dict[str, Stats]:
+    """Return the statistics of the pictures of all sessions: exact, except in a set that another program began.
+
+    Raises DamagedRecording for statistics of another form.
+    """
+    if not so_far.sessions.others:
+        return {name: each.stats() for name, each in so_far.sessions.pictures.items()}
+    added = joined_pictures(
+        [{name: pictures_of(each) for name, each in part.written["pictures"].items()} for part in parts]
+    )
+    found = {}
+    for name, each in added.items():
+        try:
+            found[name] = bounded_stats(so_far.stats[name], each.stats())
+        except (KeyError, IndexError, TypeError, ValueError):
+            raise DamagedRecording(f"meta/stats.json: {name}: found no mean, std and count of pictures") from None
+    return found
+
+
 def number_totals(root: Path, features: Mapping[str, Any]) -> dict[str, Stats]:
     """Return the statistics of all numbers in the tables of a data set: of one pass over them.
 
@@ -262,7 +315,7 @@ def _write_card(
     facts = CardFacts(
         recipe, so_far.tasks, len(listed.sessions), so_far.episodes, so_far.frames, splits,
         sum(each.unaligned for each in listed.sessions), parts[-1].written["spaces"], parts[-1].written["approach"],
-        notes,
+        notes, listed.others,
     )  # fmt: skip
     digest = listed.card
     if not path.exists() or _digest(read_bytes(path)) == listed.card:

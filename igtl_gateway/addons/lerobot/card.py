@@ -42,6 +42,7 @@ class CardFacts:
         spaces: lines about the features.
         approach: lines about clock and sampling.
         notes: of the clocks, of all sessions.
+        others: episodes of another program.
     """
 
     recipe: Recipe
@@ -54,6 +55,7 @@ class CardFacts:
     spaces: Sequence[str]
     approach: Sequence[str]
     notes: Sequence[str]
+    others: int = 0
 
 
 def card(facts: CardFacts) -> str:
@@ -90,6 +92,10 @@ def _readme(facts: CardFacts) -> Iterator[str]:
     yield from _rows(
         ("total trajectories", f"{facts.episodes:,}"),
         ("sessions", f"{facts.sessions:,}"),
+        *(
+            [("episodes of another program, about which the rest states nothing", f"{facts.others:,}")]
+            * bool(facts.others)
+        ),
         *((f"split {_cell(name)}", f"episodes {text}") for name, text in facts.splits.items()),
         ("total hours", f"{hours:.3f}"),
         ("frames", f"{facts.frames:,} at {recipe.fps} per second"),
@@ -108,7 +114,7 @@ def _readme(facts: CardFacts) -> Iterator[str]:
     yield from ("", "## Data synchronization approach", "")
     yield from facts.approach
     yield from _notes(facts.notes)
-    yield f"**Episodes with streams that were not aligned: {facts.unaligned:,} of {facts.episodes:,}.**"
+    yield f"**Episodes with streams that were not aligned: {facts.unaligned:,} of {facts.episodes - facts.others:,}.**"
     yield "[SYNCHRONIZATION.md](SYNCHRONIZATION.md) has rates, jitter, gaps and measured lags of each stream."
     yield from ("", "## Frames and messages", "")
     yield (

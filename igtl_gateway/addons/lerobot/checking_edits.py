@@ -33,7 +33,7 @@ def check_edits(found: FoundDataSet) -> Iterator[str]:
     except GatewayError as error:
         yield str(error)
         return
-    known = origins(found, exported)
+    known = origins(found, exported, listed.others)
     if known is None:
         yield (
             f"{_PLACE}: found {count_text(len(found.episodes), 'episode')} of other lengths, expected the "
@@ -51,10 +51,11 @@ def _episodes(known: Sequence[int | None], exported: Sequence[ExportedEpisode], 
     for each in gone[:_MOST]:
         one = exported[each]
         name = printable(listed.sessions[one.session].name)
-        yield f"{_PLACE}: found no episode {one.number} of {name}, expected it: it was episode {each} and is gone"
+        number = listed.others + each
+        yield f"{_PLACE}: found no episode {one.number} of {name}, expected it: it was episode {number} and is gone"
     if len(gone) > _MOST:
         yield f"{_PLACE}: {len(gone) - _MOST:,} more episodes are gone"
-    added = [number for number, each in enumerate(known) if each is None]
+    added = [number for number, each in enumerate(known, listed.others) if each is None]
     if added:
         yield (
             f"{_PLACE}: found {by_count(len(added), 'episode', 'episodes')} {runs(added)} of no session, expected "
@@ -69,12 +70,14 @@ def _splits(
     sessions = listed.sessions
     owners = owners_of(found.info["splits"], len(found.episodes))
     moved: dict[tuple[str, str], list[int]] = {}
-    for number, each in enumerate(known):
+    for number, each in enumerate(known, listed.others):
         if each is not None and (split := sessions[exported[each].session].split) not in ("", owners[number]):
             moved.setdefault((split, owners[number]), []).append(number)
     for (split, owner), numbers in moved.items():
         names = dict.fromkeys(
-            sessions[exported[each].session].name for number in numbers if (each := known[number]) is not None
+            sessions[exported[each].session].name
+            for number in numbers
+            if (each := known[number - listed.others]) is not None
         )
         yield (
             f"{_SPLITS}: found {by_count(len(numbers), 'episode', 'episodes')} {runs(numbers)} "

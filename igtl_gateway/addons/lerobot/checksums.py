@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
 
-from igtl_gateway.addon import GatewayError, LimitExceeded
+from igtl_gateway.addon import DamagedRecording, GatewayError, LimitExceeded
 from igtl_gateway.addon.terminal import by_count
 from igtl_gateway.addon.untrusted import Deadline, check_limit, open_file, printable, read_bytes
 from igtl_gateway.addon.writing import write_text
@@ -22,11 +22,36 @@ _BYTES = 1 << 20
 _MOST = 5
 
 
-def write_checksums(root: Path) -> None:
-    """Write ``meta/SHA256SUMS``, for ``sha256sum -c meta/SHA256SUMS`` in the directory of the set."""
-    lines = (f"{_digest(path)}  {path.relative_to(root).as_posix()}\n" for path in data_files(root))
+def write_checksums(root: Path, known: Mapping[str, str] | None = None) -> None:
+    """Write ``meta/SHA256SUMS``, for ``sha256sum -c meta/SHA256SUMS`` in the directory of the set.
+
+    ``known`` has the sums of files that are not read again.
+    """
+    named = ((path, path.relative_to(root).as_posix()) for path in data_files(root))
+    lines = (f"{(known or {}).get(name) or _digest(path)}  {name}\n" for path, name in named)
     (root / "meta" / CHECKSUMS).unlink(missing_ok=True)
     write_text(root / "meta" / CHECKSUMS, "".join(lines))
+
+
+def read_checksums(root: Path) -> dict[str, str]:
+    """Return file of a whole data set → SHA-256.  Raises DamagedRecording if a file is missing.
+
+    So it does for one of data that is not listed.
+    """
+    place = root / "meta" / CHECKSUMS
+    lines = read_bytes(place).decode("utf-8", "replace").splitlines()
+    check_limit("count", len(lines), str(place))
+    rows = [_LINE.fullmatch(line) for line in lines]
+    found = {row[2]: row[1] for row in rows if row}
+    names = {path.relative_to(root).as_posix() for path in data_files(root)}
+    more = {name for name in names - found.keys() if not name.startswith("meta/")}
+    for what, those in (("found no", found.keys() - names), ("found", more)):
+        if those:
+            has = "has" if what == "found no" else "lacks"
+            raise DamagedRecording(
+                f"{root}: {what} {printable(min(those))}, which {place.name} {has}, expected a whole set: see --check"
+            )
+    return found
 
 
 def check_checksums(root: Path, deadline: Deadline) -> Iterator[str]:

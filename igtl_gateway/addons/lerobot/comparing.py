@@ -28,6 +28,7 @@ from igtl_gateway.addons.lerobot.parts import content_digest
 from igtl_gateway.addons.lerobot.reading import FoundDataSet, read_total_stats
 from igtl_gateway.addons.lerobot.recipe import STAMPS, TIME, Recipe
 from igtl_gateway.addons.lerobot.recipe_file import read_recipe
+from igtl_gateway.addons.lerobot.schema import unlike
 from igtl_gateway.addons.lerobot.session_list import SESSIONS, SessionList, read_session_list
 from igtl_gateway.addons.lerobot.stats import QUANTILES, PictureStats, Stats, number_stats
 from igtl_gateway.addons.lerobot.writing import RECIPE, facts_of, own_columns, trace_of
@@ -88,17 +89,18 @@ def _sessions(
 ) -> Iterator[str]:
     """Compare the sessions of a set with those recordings that they are of."""
     sessions = listed.sessions if listed else ()
-    if sum(each.episodes for each in sessions) != len(found.episodes) and listed:
+    others = listed.others if listed else 0
+    if others + sum(each.episodes for each in sessions) != len(found.episodes) and listed:
         notes.append("the recordings were not compared: the set has other episodes than at its export")
         return
     given: dict[str, Path] = {}
     for path in paths:
         given[content_digest(path)] = path
-    if listed is None or len(sessions) == len(paths) == 1:
+    if listed is None or (len(sessions) == len(paths) == 1 and not others):
         yield from _session(found, recipe, Place(), 0, paths[0], _Totals(), is_whole=len(paths) == 1)
         return
     yield from _groups(listed, recipe)
-    totals, episode, frame, compared = _Totals(), 0, 0, 0
+    totals, episode, frame, compared = _Totals(), others, sum(each.length for each in found.episodes[:others]), 0
     names = {each.row: each.names for each in listed.rows if each.names}
     for number, each in enumerate(sessions):
         episodes = found.episodes[episode : episode + each.episodes]
@@ -106,9 +108,8 @@ def _sessions(
             part = replace(found, episodes=episodes)
             place = Place(episode, frame, tuple(found.tasks[key] for key in sorted(found.tasks)), names)
             path = given.pop(each.sha256)
-            yield from (
-                f"{printable(path.name)}: {text}" for text in _session(part, recipe, place, number, path, totals)
-            )
+            texts = _session(part, recipe, place, number, path, totals, is_own=not others)
+            yield from (f"{printable(path.name)}: {text}" for text in texts)
             compared += 1
         episode, frame = episode + each.episodes, frame + sum(one.length for one in episodes)
     for path in given.values():
@@ -118,8 +119,10 @@ def _sessions(
             f"{len(sessions) - compared:,} of {count_text(len(sessions), 'session')} were not compared: "
             "no recording given"
         )
-    elif not given:
+    elif not given and not others:
         yield from _totals(found, totals)
+    if others:
+        notes.append(f"{count_text(others, 'episode')} of another program: not compared, no recording is known")
 
 
 def _groups(listed: SessionList, recipe: Recipe) -> Iterator[str]:
@@ -131,16 +134,24 @@ def _groups(listed: SessionList, recipe: Recipe) -> Iterator[str]:
 
 
 def _session(
-    found: FoundDataSet, recipe: Recipe, place: Place, number: int, path: Path, totals: _Totals, is_whole: bool = False
+    found: FoundDataSet,
+    recipe: Recipe,
+    place: Place,
+    number: int,
+    path: Path,
+    totals: _Totals,
+    *,
+    is_whole: bool = False,
+    is_own: bool = True,
 ) -> Iterator[str]:
-    """Compare the episodes of one session; ``is_whole``: the set has no others."""
+    """Compare the episodes of one session; ``is_whole``: the set has no others; ``is_own``: nor of other programs."""
     with open_recording(path) as recording:
         try:
             plan = build(recording, recipe, place)
         except GatewayError as error:
             yield f"cannot be compared with {path}: {error}"
             return
-        yield from _compare(found, plan, number, totals, is_whole=is_whole)
+        yield from _compare(found, plan, number, totals, is_whole=is_whole, is_own=is_own)
         for index in native_rows(plan):
             file = f"meta/{native_of(native_name(plan, index), number)}"
             yield from _table(found, file, native_table(recording, plan, index))
@@ -148,9 +159,13 @@ def _session(
         yield from _totals(found, totals)
 
 
-def _compare(found: FoundDataSet, plan: Plan, number: int, totals: _Totals, *, is_whole: bool) -> Iterator[str]:
+def _compare(
+    found: FoundDataSet, plan: Plan, number: int, totals: _Totals, *, is_whole: bool, is_own: bool
+) -> Iterator[str]:
     expected = facts_of(plan)
-    for name in sorted({*found.info["features"], *expected.features}):
+    if not is_own:
+        yield from (f"meta/info.json: {each}" for each in unlike(expected.features, found.info["features"]))
+    for name in sorted({*found.info["features"], *expected.features} if is_own else ()):
         one, two = found.info["features"].get(name), expected.features.get(name)
         if one != two:
             yield f"meta/info.json: features.{name}: found {_short(one)}, expected {_short(two)}"

@@ -23,12 +23,12 @@ from igtl_gateway.addons.lerobot.parts import DESCRIBE, WRITE, Job, run_job
 from igtl_gateway.addons.lerobot.recipe import Recipe
 from igtl_gateway.addons.lerobot.recipe_file import read_recipe
 from igtl_gateway.addons.lerobot.schema import Described, Schema, differences, schema_of
-from igtl_gateway.addons.lerobot.splits import Group, assigned, group_of, has_ranges, unused_names
+from igtl_gateway.addons.lerobot.splits import Group, assigned, check_kept, group_of, has_ranges, unused_names
 from igtl_gateway.addons.lerobot.writing import check_out
 
 #: Sessions that an error lists.
 _MOST = 5
-_PARTS = "parts"
+_PARTS = ".igtl-gateway-parts"
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,24 +99,52 @@ def export_sessions(paths: Sequence[Path], recipe_path: Path, out: Path, do: Run
     sessions = describe(paths, recipe_path, recipe, do)
     schema = schema_of(sessions)
     check_schema(sessions, schema, recipe)
-    groups = groups_of(sessions, recipe)
-    splits = splits_of_groups(sessions, groups, recipe)
-    names = list(recipe.splits or ())
-    rank = {name: number for number, name in enumerate(names)}
-    sessions.sort(key=lambda each: (rank.get(splits[each.path], 0), *each.order))
+    new = Batch(sessions, recipe_path, recipe, text, schema)
     with written_folder(out) as root:
-        so_far = SetSoFar()
-        parts = write_parts(root, sessions, groups, splits, recipe_path, schema, so_far, do)
-        assemble(root, recipe, text, schema, so_far, parts)
-        shutil.rmtree(root / _PARTS)
-        files = sum(each.is_file() for each in root.rglob("*"))
+        return write_batch(root, new, SetSoFar(), do)
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Sessions that are written together.
+
+    Attributes:
+        sessions: in the order of time.
+        path, recipe, text: of the recipe.
+        schema: that all of them have.
+    """
+
+    sessions: list[Described]
+    path: Path
+    recipe: Recipe
+    text: bytes
+    schema: Schema
+
+
+def write_batch(root: Path, new: Batch, so_far: SetSoFar, do: Runner, known: Sequence[Group] = ()) -> Exported:
+    """Write sessions into a folder with the files of the data set before, if there was one.
+
+    ``known`` are the groups that have a split already.  Raises as `export_sessions`.
+    """
+    recipe = new.recipe
+    groups = groups_of(new.sessions, recipe, known)
+    splits = splits_of_groups(new.sessions, groups, recipe, known)
+    rank = {name: number for number, name in enumerate(recipe.splits or ())}
+    sessions = sorted(new.sessions, key=lambda each: (rank.get(splits[each.path], 0), *each.order))
+    parts = write_parts(root, sessions, groups, splits, new.path, new.schema, so_far, do)
+    assemble(root, recipe, new.text, new.schema, so_far, parts)
+    shutil.rmtree(root / _PARTS)
+    files = sum(each.is_file() for each in root.rglob("*"))
     return Exported(recipe, parts, so_far, split_ranges(parts, so_far), files)
 
 
-def describe(paths: Sequence[Path], recipe_path: Path, recipe: Recipe, do: Runner) -> list[Described]:
+def describe(
+    paths: Sequence[Path], recipe_path: Path, recipe: Recipe, do: Runner, known: Mapping[str, str] | None = None
+) -> list[Described]:
     """Return the descriptions of sessions in the order of time.
 
-    Raises ConfigError for one that comes twice or does not fit, GatewayError.
+    ``known`` has SHA-256 → name of the sessions in the data set.  Raises ConfigError for one that comes twice, is there
+    already or does not fit, GatewayError.
     """
     if has_ranges(recipe.splits) and len(paths) > 1:
         name, value = next(iter((recipe.splits or {}).items()))
@@ -134,6 +162,11 @@ def describe(paths: Sequence[Path], recipe_path: Path, recipe: Recipe, do: Runne
                 f"found the content of {printable(other.path)} in {printable(each.path)}, too, expected each session "
                 "once"
             )
+    if there := [each for each in found if known and each.sha256 in known]:
+        raise ConfigError(
+            f"the data set has {count_text(len(there), 'of these sessions', 'of these sessions')} already: "
+            f"{_few({each.name: '' for each in there})}; expected others"
+        )
     return found
 
 
@@ -157,7 +190,8 @@ def _replies(jobs: Sequence[Job], do: Runner) -> list[Mapping[str, Any]]:
 
 def _together(count: int, texts: Sequence[str], *, is_config: bool = True) -> GatewayError:
     more = f"; and {len(texts) - _MOST:,} more" if len(texts) > _MOST else ""
-    text = f"{len(texts):,} of {count_text(count, 'session')} do not fit: {'; '.join(texts[:_MOST])}{more}"
+    which = "" if count == 1 else f"{len(texts):,} of {count_text(count, 'session')} do not fit: "
+    text = f"{which}{'; '.join(texts[:_MOST])}{more}"
     return ConfigError(text) if is_config else GatewayError(text)
 
 
@@ -172,11 +206,17 @@ def check_schema(sessions: Sequence[Described], schema: Schema, recipe: Recipe) 
         raise _together(len(sessions), texts)
 
 
-def groups_of(sessions: Sequence[Described], recipe: Recipe) -> dict[str, str]:
+def groups_of(sessions: Sequence[Described], recipe: Recipe, known: Sequence[Group] = ()) -> dict[str, str]:
     """Return the path of each session → its group.  Raises ConfigError for two sessions of one name."""
     found = {each.path: group_of(each.path, recipe.patient) for each in sessions}
     if not recipe.patient and recipe.splits:
+        there = {each.name for each in known}
         for each in sessions:
+            if found[each.path] in there:
+                raise ConfigError(
+                    f"splits: found another session {printable(found[each.path])!r} in the data set, expected "
+                    "different names of sessions"
+                )
             twice = [path for path, group in found.items() if group == found[each.path]]
             if len(twice) > 1:
                 raise ConfigError(
@@ -186,23 +226,28 @@ def groups_of(sessions: Sequence[Described], recipe: Recipe) -> dict[str, str]:
     return found
 
 
-def splits_of_groups(sessions: Sequence[Described], groups: Mapping[str, str], recipe: Recipe) -> dict[str, str]:
+def splits_of_groups(
+    sessions: Sequence[Described], groups: Mapping[str, str], recipe: Recipe, known: Sequence[Group] = ()
+) -> dict[str, str]:
     """Return the path of each session → its split, "" for ranges of demonstrations.
 
     Args:
         sessions: in the order of time.
         groups: path → group.
         recipe: of the set.
+        known: groups that have a split already, and keep it.
 
     Raises ConfigError for a group in no split or in two, and for a name that no group has.
     """
     if has_ranges(recipe.splits):
         return {each.path: "" for each in sessions}
-    frames: dict[str, int] = {}
+    check_kept(recipe.splits, known)
+    kept = {each.name: each.split for each in known}
+    frames = {each.name: each.frames for each in known}
     for each in sessions:
         name = groups[each.path]
         frames[name] = frames.get(name, 0) + each.frames
-    splits = assigned(recipe.splits, [Group(*each) for each in frames.items()])
+    splits = assigned(recipe.splits, [Group(name, number, kept.get(name, "")) for name, number in frames.items()])
     if unused := unused_names(recipe.splits, list(frames)):
         raise ConfigError(f"{unused[0]}: found no session or patient of this name, expected one of {_few(frames)}")
     return {each.path: splits[groups[each.path]] for each in sessions}

@@ -9,12 +9,14 @@ from igtl_gateway.addon.terminal import output_file
 
 LEROBOT = "lerobot"
 LEROBOT_TEXT = "a training set by a recipe: streams at one rate, video, Parquet"
+APPEND_TEXT = "add the sessions to the data set of -o, by its recipe unless there is --recipe"
 
 
 def add_lerobot(parser: argparse.ArgumentParser) -> None:
     """Add the options that only this format has."""
     group = parser.add_argument_group("options of --to lerobot")
     group.add_argument("--recipe", metavar="FILE", type=Path, help="TOML file: rate, features, episodes")
+    group.add_argument("--append", action="store_true", help=APPEND_TEXT)
     group.add_argument(
         "--write-recipe",
         metavar="FILE",

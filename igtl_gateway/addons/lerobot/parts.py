@@ -7,9 +7,11 @@ set at the same paths.
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any
 
 import numpy as np
@@ -79,7 +81,16 @@ def run_job(value: Mapping[str, Any]) -> dict[str, Any]:
     with open_recording(path) as recording:
         if job.kind == DESCRIBE:
             return described(path, recipe, recording, build(recording, recipe)).to_dict()
-        return written_part(recording, build(recording, recipe, job.place), Path(job.part), shown_name(path))
+        part = Path(job.part)
+        # a job whose program is killed is done again, perhaps beside the first: each has a folder of its own
+        trial = Path(mkdtemp(dir=part.parent, prefix=f"{part.name}-")) / part.name
+        written = written_part(recording, build(recording, recipe, job.place), trial, shown_name(path))
+    try:
+        os.rename(trial, part)
+    except OSError:
+        if not part.is_dir():  # otherwise another one has written the same
+            raise
+    return written
 
 
 def described(path: Path, recipe: Recipe, recording: Recording, plan: Plan) -> Described:

@@ -53,7 +53,7 @@ def exported_episodes(root: Path, listed: SessionList) -> list[ExportedEpisode]:
             raise DamagedRecording(f"{place}: episode_index: found no numbers, expected them")
         numbers = matrix_of(table, "episode_index")[:, 0]
         firsts = np.flatnonzero(np.diff(numbers, prepend=-1))
-        expected = len(found) + np.arange(each.episodes)
+        expected = listed.others + len(found) + np.arange(each.episodes)
         if not np.array_equal(numbers[firsts], expected):
             raise DamagedRecording(
                 f"{place}: episode_index: found other episodes, expected the {count_text(each.episodes, 'episode')} "
@@ -65,10 +65,14 @@ def exported_episodes(root: Path, listed: SessionList) -> list[ExportedEpisode]:
     return found
 
 
-def origins(found: FoundDataSet, exported: Sequence[ExportedEpisode]) -> list[int | None] | None:
-    """Return for each episode of a set which exported one it was, None for one that was added; None if unknown."""
-    lengths, wanted = [each.length for each in found.episodes], [each.length for each in exported]
-    numbers = [each for each in map(_stated, found.episodes) if each is not None]
+def origins(found: FoundDataSet, exported: Sequence[ExportedEpisode], others: int = 0) -> list[int | None] | None:
+    """Return for each episode of a set which exported one it was, None for one that was added; None if unknown.
+
+    ``others`` are the first episodes, of another program, which are left out.
+    """
+    episodes = found.episodes[others:]
+    lengths, wanted = [each.length for each in episodes], [each.length for each in exported]
+    numbers = [each - others for each in map(_stated, episodes) if each is not None]
     kept = [each for each in numbers if each < len(wanted)]
     # in a shorter set, numbers without a gap prove nothing: a program may have computed them again
     if (

@@ -140,9 +140,9 @@ class FoundDataSet:
         return any((self.root / "meta" / each).exists() for each in _OWN)
 
 
-def read_data_set(root: Path) -> FoundDataSet:
-    """Read the metadata of a data set.  Raises GatewayError with file, place, found and expected."""
-    info = _json(root / "meta" / "info.json", _INFO)
+def read_info(root: Path) -> Mapping[str, Any]:
+    """Return info.json of a data set.  Raises GatewayError with file, place, found and expected."""
+    info: Mapping[str, Any] = _json(root / "meta" / "info.json", _INFO)
     version = info["codebase_version"]
     if version not in PATHS:
         raise shape.wrong(f"{root}/meta/info.json: codebase_version", version, f"one of {', '.join(PATHS)}")
@@ -155,8 +155,31 @@ def read_data_set(root: Path) -> FoundDataSet:
         raise shape.wrong(f"{root}/meta/info.json: fps", info["fps"], f"1 to {MAX_FPS}")
     for name, each in info["features"].items():
         _check_feature(name, each, f"{root}/meta/info.json: features")
+    return info
+
+
+def read_tasks(root: Path, version: str) -> dict[int, str]:
+    """Return number → text of the tasks of a data set.  Raises GatewayError."""
+    if version == "v2.1":
+        path = root / "meta" / "tasks.jsonl"
+        return _numbered(path, _lines(path, _TASK))
+    path = root / "meta" / "tasks.parquet"
+    table = read_table(path)
+    text = next((each for each in _TASK_COLUMNS if each in table.schema.names), _TASK_COLUMNS[0])
+    named = [{"task_index": row["task_index"], "task": row[text]} for row in _rows(path, ["task_index", text], table)]
+    _check_index(table, text, f"{path}: metadata pandas")
+    for number, row in enumerate(named):
+        _TASK(row, f"{path}: row {number}")
+    return _numbered(path, named)
+
+
+def read_data_set(root: Path) -> FoundDataSet:
+    """Read the metadata of a data set.  Raises GatewayError with file, place, found and expected."""
+    info = read_info(root)
+    version = info["codebase_version"]
     read = _version21 if version == "v2.1" else _version30
-    tasks, episodes = read(root, videos)
+    videos = [name for name, each in info["features"].items() if each["dtype"] == VIDEO]
+    tasks, episodes = read_tasks(root, version), read(root, videos)
     frames = sum(each.length for each in episodes)
     if frames > MAX_FRAMES:
         raise shape.wrong(f"{root}/meta: frames of all episodes", frames, f"at most {MAX_FRAMES:,}")
@@ -220,9 +243,8 @@ def _lines(path: Path, expected: shape.Shape) -> list[Any]:
     return found
 
 
-def _version21(root: Path, videos: list[str]) -> tuple[dict[int, str], list[FoundEpisode]]:
+def _version21(root: Path, videos: list[str]) -> list[FoundEpisode]:
     meta = root / "meta"
-    tasks = _numbered(meta / "tasks.jsonl", _lines(meta / "tasks.jsonl", _TASK))
     stats = {each["episode_index"]: each["stats"] for each in _lines(meta / "episodes_stats.jsonl", _STATS)}
     found = []
     for each in _lines(meta / "episodes.jsonl", _EPISODE):
@@ -235,26 +257,17 @@ def _version21(root: Path, videos: list[str]) -> tuple[dict[int, str], list[Foun
         data = root / paths["data_path"].format(**place)
         own = stats.get(index, {})
         found.append(FoundEpisode(index, each["length"], each["tasks"], data, None, parts, partial(dict, own)))
-    return tasks, found
+    return found
 
 
-def _version30(root: Path, videos: list[str]) -> tuple[dict[int, str], list[FoundEpisode]]:
-    table = read_table(root / "meta" / "tasks.parquet")
-    text = next((each for each in _TASK_COLUMNS if each in table.schema.names), _TASK_COLUMNS[0])
-    named = [
-        {"task_index": row["task_index"], "task": row[text]}
-        for row in _rows(root / "meta" / "tasks.parquet", ["task_index", text], table)
-    ]
-    _check_index(table, text, f"{root}/meta/tasks.parquet: metadata pandas")
-    for number, row in enumerate(named):
-        _TASK(row, f"{root}/meta/tasks.parquet: row {number}")
+def _version30(root: Path, videos: list[str]) -> list[FoundEpisode]:
     found: list[FoundEpisode] = []
     begins: dict[tuple[int, int], int] = {}  # first frame of each data file
     for path in sorted((root / "meta" / "episodes").glob("chunk-*/file-*.parquet")):
         table = read_table(path)
         check_limit("count", len(found) + table.num_rows, f"{path}: episodes")
         found += _episodes(root, path, table, videos, begins)
-    return _numbered(root / "meta" / "tasks.parquet", named), found
+    return found
 
 
 def _check_index(table: pa.Table, text: str, place: str) -> None:

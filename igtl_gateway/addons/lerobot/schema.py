@@ -153,6 +153,40 @@ def differences(session: Described, schema: Schema, recipe: Recipe) -> list[str]
     return found
 
 
+def unlike(found: Mapping[str, Any], expected: Mapping[str, Any]) -> list[str]:
+    """Return how features differ from those of a data set of another program: in types, shapes, names and videos.
+
+    Names that are not stated there are no difference, and neither are statements about a video that only one has.
+    """
+    wrong = []
+    for name in sorted({*found, *expected}):
+        if name not in expected or name not in found:
+            where, other = ("recipe", "data set") if name in found else ("data set", "recipe")
+            wrong.append(f"{printable(name)}: found it in the {where} and not in the {other}, expected it in both")
+            continue
+        one, two = found[name], expected[name]
+        facts = {key: (one[key], two[key]) for key in ("dtype", "shape")}
+        if (names := _flat(two.get("names"))) and one["dtype"] != "video":
+            facts["names"] = one["names"], names
+        info = two.get("info")
+        facts |= {
+            key: (value, info[key])
+            for key, value in one.get("info", {}).items()
+            if isinstance(info, dict) and key in info
+        }
+        wrong += [
+            f"{name}: {key}: found {_short(each[0])}, expected {_short(each[1])}"
+            for key, each in facts.items()
+            if each[0] != each[1]
+        ]
+    return wrong
+
+
+def _flat(names: Any) -> Any:
+    """Names as a list, also those in a table of one group, as ``{"motors": […]}``."""
+    return next(iter(names.values())) if isinstance(names, dict) and len(names) == 1 else names
+
+
 def _differences(session: Described, schema: Schema, recipe: Recipe) -> Iterator[str]:
     as_other = f"as in {printable(schema.name)}"
     if session.clock != schema.clock:

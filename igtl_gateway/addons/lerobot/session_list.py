@@ -46,7 +46,7 @@ _PICTURES = shape.fields(
 _LIST = shape.fields(
     {
         "version": shape.number, "clock": shape.text, "card": shape.text, "rows": shape.list_of(_ROW),
-        "pictures": shape.map_of(_PICTURES), "sessions": shape.list_of(_SESSION),
+        "pictures": shape.map_of(_PICTURES), "sessions": shape.list_of(_SESSION), "others": shape.number,
     },
     ("version", "clock", "card", "rows", "pictures", "sessions"),
 )  # fmt: skip
@@ -87,6 +87,7 @@ class SessionList:
         pictures: feature → how often each value occurs in the sampled pictures.
         sessions: the sessions.
         card: SHA-256 of the card as it was written.
+        others: episodes of another program, which come before those of the sessions.
     """
 
     clock: str = ""
@@ -94,6 +95,7 @@ class SessionList:
     pictures: Mapping[str, PictureStats] = field(default_factory=dict)
     sessions: tuple[SetSession, ...] = ()
     card: str = ""
+    others: int = 0
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as JSON."""
@@ -101,6 +103,7 @@ class SessionList:
             "version": VERSION,
             "clock": self.clock,
             "card": self.card,
+            "others": self.others,
             "rows": [asdict(each) for each in self.rows],
             "pictures": {name: each.to_dict() for name, each in self.pictures.items()},
             "sessions": [asdict(each) for each in self.sessions],
@@ -130,7 +133,7 @@ def read_session_list(root: Path) -> SessionList | None:
     sessions = (SetSession(**{**each, "notes": tuple(each["notes"])}) for each in value["sessions"])
     pictures = {name: pictures_of(each) for name, each in value["pictures"].items()}
     rows = tuple(RowFacts.of(each) for each in value["rows"])
-    return SessionList(value["clock"], rows, pictures, tuple(sessions), value["card"])
+    return SessionList(value["clock"], rows, pictures, tuple(sessions), value["card"], value.get("others", 0))
 
 
 def pictures_of(value: Mapping[str, Any]) -> PictureStats:

@@ -120,6 +120,17 @@ def unused_names(splits: Mapping[str, Value] | None, groups: Sequence[str]) -> l
     return [f"splits.{name}: {glob!r}" for name, glob in globs if not any(matches(glob, each) for each in groups)]
 
 
+def check_kept(splits: Mapping[str, Value] | None, groups: Sequence[Group]) -> None:
+    """Raise ConfigError for a group whose name is in another split than the group is already."""
+    named = {name: value for name, value in (splits or {}).items() if isinstance(value, tuple)}
+    for each in groups:
+        others = [name for name, globs in named.items() if any(matches(glob, each.name) for glob in globs)]
+        if others not in ([], [each.split]):
+            raise ConfigError(
+                f"splits: found {each.name!r} in {' and '.join(others)}, expected it in {each.split} as in the data set"
+            )
+
+
 def ranges_of(splits: Sequence[str]) -> dict[str, str]:
     """Return the episodes of each split: half-open ranges, which have commas between them if there are several.
 

@@ -58,6 +58,27 @@ def _joined(low: Array, high: Array, means: Array, stds: Array, parts: list[Stat
     return {name: each.tolist() for name, each in found.items()} | {"count": [int(counts.sum())]}
 
 
+def bounded_stats(one: Stats, two: Stats) -> Stats:
+    """Return the statistics of two parts together, of whose values nothing else is known, by the rule of LeRobot.
+
+    Mean and standard deviation follow from the counts; quantiles are bounds: the lower ones of the two up to the
+    median, the higher ones above it.  A statistic that one part lacks is left out.
+
+    Raises ValueError, TypeError or KeyError for statistics of another form.
+    """
+    counts = [int(each["count"][0]) for each in (one, two)]
+    values = {name: np.array([one[name], two[name]], np.float64) for name in one if name != "count" and name in two}
+    mean = np.average(values["mean"], axis=0, weights=counts)
+    spread = values["std"] ** 2 + (values["mean"] - mean) ** 2
+    found = {"mean": mean, "std": np.sqrt(np.average(spread, axis=0, weights=counts))}
+    for name, each in values.items():
+        if name == "min" or QUANTILES.get(name, 1) <= 0.5:
+            found[name] = each.min(axis=0)
+        elif name == "max" or name in QUANTILES:
+            found[name] = each.max(axis=0)
+    return {name: each.tolist() for name, each in found.items()} | {"count": [sum(counts)]}
+
+
 @dataclass(slots=True)
 class PictureStats:
     """Statistics of pictures, per channel: exact for the pictures that were added.

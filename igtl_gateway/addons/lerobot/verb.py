@@ -31,18 +31,20 @@ _SPARSE = 10
 
 def refuse_lerobot_options(options: argparse.Namespace) -> None:
     """Raise ConfigError for options of this format with another one."""
-    for name, text in _OPTIONS.items():
-        if getattr(options, name) is not None:
+    for name, text in {**_OPTIONS, "append": "--append"}.items():
+        if getattr(options, name):
             raise ConfigError(f"{text}: found it with --to {options.to}, expected --to {LEROBOT}")
 
 
 def run_lerobot(options: argparse.Namespace) -> int:
     """Write a recipe or a data set, or check one; return the exit code."""
     given = [text for name, text in _OPTIONS.items() if getattr(options, name) is not None]
-    if len(given) != 1:
+    if options.append and (options.output is None or options.write_recipe or options.check):
+        raise ConfigError("--append: expected it with -o, the data set, and without --write-recipe and --check")
+    if not options.append and len(given) != 1:
         raise ConfigError(f"--to {LEROBOT}: found {' and '.join(given) or 'none'}, expected one of "
                           f"{', '.join(_OPTIONS.values())}")  # fmt: skip
-    if (options.output is not None) != (options.recipe is not None):
+    if not options.append and (options.output is not None) != (options.recipe is not None):
         raise ConfigError("-o: found it or --recipe alone, expected both")
     if options.streams and not options.write_recipe:
         raise ConfigError(
@@ -104,24 +106,27 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def export_set(options: argparse.Namespace, files: Sequence[Path], do: Runner | None = None) -> int:
-    """Write a data set of sessions, and print what is in it; return the exit code.
+    """Write a data set of sessions or add them to one, and print what is in it; return the exit code.
 
     Args:
-        options: with ``recipe``, ``output`` and ``json``.
+        options: with ``recipe``, ``output``, ``append`` and ``json``.
         files: the recordings.
         do: runs the jobs of the sessions; None: this process.
     """
+    from igtl_gateway.addons.lerobot.appending import append_sessions
     from igtl_gateway.addons.lerobot.export import export_sessions, here
 
+    write = append_sessions if options.append else export_sessions
+    recipe = options.recipe or options.output / "meta" / "recipe.toml"
     try:
-        done = export_sessions(files, options.recipe, options.output, do or here)
+        done = write(files, options.recipe, options.output, do or here)
     except OSError as error:
         raise write_error(options.output, error) from None
     except GatewayError as error:
         text = str(error)
         places = [str(place) for file in files for place in (file, file.absolute())]
-        known = str(options.recipe), *places, str(options.output), "cannot write"
-        raise type(error)(text if text.startswith(known) else f"{options.recipe}: {text}") from None
+        known = str(recipe), *places, str(options.output), "cannot write"
+        raise type(error)(text if text.startswith(known) else f"{recipe}: {text}") from None
     if len(files) == 1:
         _print_one(options, files[0], done)
     else:
@@ -133,12 +138,12 @@ def _print_one(options: argparse.Namespace, file: Path, done: Exported) -> None:
     from igtl_gateway.addons.lerobot.splits import MOST_LISTED, divided, listed
 
     [part] = done.parts
-    found, recipe, frames = part.written, done.recipe, part.session.frames
+    found, recipe = part.written, done.recipe
     if options.json:
         print_json(
             {
                 "file": str(file), "to": LEROBOT, "out": str(options.output), "format": recipe.format,
-                "clock": found["clock"], "episodes": len(part.session.episodes), "frames": frames, "files": done.files,
+                "clock": found["clock"], **_size(options, done), "files": done.files,
                 "notes": found["notes"], "demonstrations": found["demonstrations"], "empty": found["empty"],
                 "cuts": len(found["owners"]) - len(set(found["owners"])), "splits": done.splits,
                 "left_out": found["left_out"], "streams": found["streams"],
@@ -159,7 +164,7 @@ def _print_one(options: argparse.Namespace, file: Path, done: Exported) -> None:
         print_line(f"note: demonstration {owner} has a gap above a tolerance, or is too long: {numbers}")
     if len(parts) > MOST_LISTED:
         print_line(f"note: {len(parts) - MOST_LISTED:,} more demonstrations that are several episodes")
-    _print_end(options, done, len(part.session.episodes), frames, found["clock"])
+    _print_end(options, done, found["clock"])
 
 
 def _print_many(options: argparse.Namespace, done: Exported) -> None:
@@ -168,14 +173,13 @@ def _print_many(options: argparse.Namespace, done: Exported) -> None:
     left_out: Counter[str] = sum((Counter(each.written["left_out"]) for each in done.parts), Counter())
     rows = [_session(each) for each in _numbered(done)]
     clock = done.parts[0].written["clock"]
-    episodes, frames = done.totals.episodes, done.totals.frames
     if options.json:
         print_json(
             {
                 "files": [each.session.path for each in done.parts], "to": LEROBOT, "out": str(options.output),
-                "format": done.recipe.format, "clock": clock, "episodes": episodes, "frames": frames,
-                "written": done.files, "splits": done.splits, "left_out": dict(left_out), "sessions": rows,
-                "streams": streams, "sparse": _sparse(streams, done.recipe.fps),
+                "format": done.recipe.format, "clock": clock, **_size(options, done), "written": done.files,
+                "splits": done.splits, "left_out": dict(left_out), "sessions": rows, "streams": streams,
+                "sparse": _sparse(streams, done.recipe.fps),
             }
         )  # fmt: skip
         return
@@ -196,7 +200,7 @@ def _print_many(options: argparse.Namespace, done: Exported) -> None:
     divided = sum(row["cuts"] for row in rows)
     if divided:
         print_line(f"note: {count_text(divided, 'episode')} more than demonstrations: gaps, or too long for one")
-    _print_end(options, done, episodes, frames, clock)
+    _print_end(options, done, clock)
 
 
 def _numbered(done: Exported) -> list[tuple[int, Part]]:
@@ -268,14 +272,31 @@ def _print_left_out(left_out: Mapping[str, int]) -> None:
         print_line(f"note: {count_text(number, 'frame')} left out: {why}")
 
 
-def _print_end(options: argparse.Namespace, done: Exported, episodes: int, frames: int, clock: str) -> None:
+def _size(options: argparse.Namespace, done: Exported) -> dict[str, Any]:
+    """Episodes and frames of the set, and what was added to it."""
+    found: dict[str, Any] = {"episodes": done.totals.episodes, "frames": done.totals.frames}
+    if options.append:
+        sessions = [each.session for each in done.parts]
+        found["appended"] = {
+            "sessions": len(sessions), "episodes": sum(len(each.episodes) for each in sessions),
+            "frames": sum(each.frames for each in sessions),
+        }  # fmt: skip
+    return found
+
+
+def _print_end(options: argparse.Namespace, done: Exported, clock: str) -> None:
     if done.recipe.splits:
         print_line("splits: " + ", ".join(f"{name} has the episodes {text}" for name, text in done.splits.items()))
-    sessions = f" of {count_text(len(done.totals.sessions.sessions), 'session')}" if done.parts[1:] else ""
-    print_line(
-        f"{options.output}: LeRobot {done.recipe.format}, {count_text(frames, 'frame')} in "
-        f"{count_text(episodes, 'episode')}{sessions}, clock: {clock}"
-    )
+    size, listed = _size(options, done), done.totals.sessions
+    sessions = f" of {count_text(len(listed.sessions), 'session')}" if listed.sessions[1:] else ""
+    others = f" and {listed.others:,} of another program" if listed.others else ""
+    added = size.get("appended")
+    added = f", of which {_in(added)} were appended" if added else ""
+    print_line(f"{options.output}: LeRobot {done.recipe.format}, {_in(size)}{sessions}{others}{added}, clock: {clock}")
+
+
+def _in(size: Mapping[str, Any]) -> str:
+    return f"{count_text(size['frames'], 'frame')} in {count_text(size['episodes'], 'episode')}"
 
 
 def _cell(value: Any) -> str:

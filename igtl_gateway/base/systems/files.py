@@ -1,4 +1,4 @@
-"""Files: the lock of a writer, ordinary files without links, modes, folders on the disk.
+"""Files: the lock of a writer, ordinary files without links, modes, folders on the disk, two folders exchanged.
 
 On Windows the mode of a new file means nothing: it inherits the permissions of its folder.  A file that is open cannot
 be removed or replaced there.
@@ -167,6 +167,28 @@ def rename_new(old: Path, new: Path) -> None:
     os.rename(old, new)
 
 
+def exchange(one: Path, two: Path) -> bool:
+    """Give each of two paths what the other one has, at one moment; return whether the file system can.
+
+    Raises OSError.
+    """
+    if sys.platform != "linux":
+        return False
+    import ctypes  # here: few programs need it
+
+    call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if call is None:  # another C library
+        return False
+    if not call(_HERE, os.fsencode(one), _HERE, os.fsencode(two), ctypes.c_uint(_EXCHANGE)):
+        return True
+    error = ctypes.get_errno()
+    if error in (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP):
+        return False
+    raise OSError(error, os.strerror(error), str(two))
+
+
+#: Of renameat2: AT_FDCWD, RENAME_EXCHANGE.
+_HERE, _EXCHANGE = -100, 2
 #: Whether a file can be renamed, or another one take its place, while it is open.
 RENAMES_OPEN_FILES = sys.platform != "win32"
 

@@ -65,11 +65,11 @@ def written(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     Raises ConfigError if ``path`` exists and is not to be overwritten, GatewayError if it cannot be written.
     """
     check_target(path, overwrite=overwrite)
-    with _part(path, path.parent, write_error) as folder:
+    with hidden_folder(path, path.parent, write_error) as folder:
         place = folder / _name(path)
-        with _naming(place, path):
+        with naming(place, path):
             yield place
-        with _refused(path, write_error):
+        with refused(path, write_error):
             if place.exists():
                 _move(place, path, overwrite=overwrite)
 
@@ -85,14 +85,14 @@ def replaced(path: Path) -> Iterator[Path]:
     except GatewayError as error:
         raise RecordingError(str(error)) from None
     if not RENAMES_OPEN_FILES:
-        with _refused(path, cannot_begin):
+        with refused(path, cannot_begin):
             path.unlink()
         yield path
         return
-    with _part(path, path.parent, cannot_begin) as folder:
+    with hidden_folder(path, path.parent, cannot_begin) as folder:
         place = folder / _name(path)
         yield place
-        with _refused(path, cannot_begin):
+        with refused(path, cannot_begin):
             _move(place, path, overwrite=True)
 
 
@@ -111,13 +111,13 @@ def written_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """
     is_new = not os.path.lexists(path)
     check_folder(path, overwrite=overwrite)
-    with _part(path, path.parent if is_new else path, write_error) as folder:
+    with hidden_folder(path, path.parent if is_new else path, write_error) as folder:
         place = folder / _name(path)
-        with _refused(path, write_error):
+        with refused(path, write_error):
             make_folder(place)
-        with _naming(place, path):
+        with naming(place, path):
             yield place
-        with _refused(path, write_error):
+        with refused(path, write_error):
             if is_new and place.exists():
                 _move(place, path, overwrite=False)
             elif place.exists():
@@ -141,7 +141,10 @@ def check_folder(path: Path, *, overwrite: bool = False) -> None:
 
 def write_error(path: Path, error: Exception) -> GatewayError:
     """What to raise where ``path`` cannot be written."""
-    why = obstacle(path, error) if isinstance(error, OSError | ValueError) else ""
+    if isinstance(error, OSError) and os.path.isdir(path):  # a folder is what was expected
+        why = error.strerror or ""
+    else:
+        why = obstacle(path, error) if isinstance(error, OSError | ValueError) else ""
     return GatewayError(f"cannot write to {path}: {why or error}")
 
 
@@ -151,11 +154,11 @@ def is_unfinished(path: Path) -> bool:
 
 
 #: Makes the error of a path that the system refuses.
-_Refusal = Callable[[Path, OSError], GatewayError]
+Refusal = Callable[[Path, OSError], GatewayError]
 
 
 @contextmanager
-def _refused(path: Path, refusal: _Refusal) -> Iterator[None]:
+def refused(path: Path, refusal: Refusal) -> Iterator[None]:
     """Context manager: errors of the system become this error."""
     try:
         yield
@@ -166,9 +169,9 @@ def _refused(path: Path, refusal: _Refusal) -> Iterator[None]:
 
 
 @contextmanager
-def _part(path: Path, where: Path, refusal: _Refusal) -> Iterator[Path]:
+def hidden_folder(path: Path, where: Path, refusal: Refusal) -> Iterator[Path]:
     """Context manager: a hidden folder in ``where``, locked, which is removed at the end."""
-    with _refused(path, refusal):
+    with refused(path, refusal):
         _remove_leftovers(where)
         folder, handle = _new_part(where)
     try:
@@ -234,7 +237,7 @@ def _is_part(name: str) -> bool:
 
 
 @contextmanager
-def _naming(place: Path, path: Path) -> Iterator[None]:
+def naming(place: Path, path: Path) -> Iterator[None]:
     """Errors of the code inside name the target instead of the hidden place; full disks become GatewayError."""
     try:
         yield
@@ -257,13 +260,14 @@ def _move(place: Path, path: Path, *, overwrite: bool) -> None:
         rename_new(place, path)
         return
     _check_idle(path, path.lstat())
-    _sync(place)  # the old file is gone after this: the new one must survive a power failure
+    sync_file(place)  # the old file is gone after this: the new one must survive a power failure
     os.replace(place, path)
     with suppress(OSError):
         sync_folder(path.parent)
 
 
-def _sync(place: Path) -> None:
+def sync_file(place: Path) -> None:
+    """Write a file to the disk, so that it survives a power failure.  Raises OSError."""
     handle = open_plain(place, os.O_RDWR)
     try:
         os.fsync(handle)
