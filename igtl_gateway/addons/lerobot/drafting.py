@@ -110,6 +110,7 @@ def draft(recording: Recording, globs: Sequence[str] = ()) -> Draft:
             f"{recording.path}: found no stream of poses or joints with two or more messages, expected one as "
             "observation.state"
         )
+    chosen = [_latched(each, covered[0][0]) for each in chosen]
     giver = _giver(chosen, is_named=bool(globs))
     fps = _fps(giver)
     facts = Draft(
@@ -223,6 +224,13 @@ def _sampled(candidate: _Candidate, *, is_named: bool) -> Feature:
     intervals = _SLOW_INTERVALS if is_slow and rule == "hold" else _INTERVALS
     wanted_ms = 10.0 * np.ceil(intervals * NS_PER_S / candidate.rate_hz / NS_PER_MS / 10)
     return replace(feature, rule=rule, tolerance_ms=min(max(_USUAL_MS, wanted_ms), 3_600_000.0))
+
+
+def _latched(candidate: _Candidate, start_ns: int) -> _Candidate:
+    """A row whose strings all come before the first frame: its last one is that of all frames."""
+    if candidate.feature.rule != "none" or candidate.samples.times[-1] >= start_ns:
+        return candidate
+    return replace(candidate, feature=replace(candidate.feature, rule="hold"))
 
 
 def _giver(chosen: Sequence[_Candidate], *, is_named: bool) -> _Candidate:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,7 @@ from igtl_gateway.addon.terminal import aligned, count_text, print_json, print_l
 from igtl_gateway.addon.untrusted import printable
 from igtl_gateway.addon.writing import check_target, write_error, write_text, written
 from igtl_gateway.addons.lerobot.options import LEROBOT
+from igtl_gateway.addons.lerobot.recipe import IMAGES
 
 if TYPE_CHECKING:
     from igtl_gateway.addons.lerobot.assembling import Part
@@ -152,7 +153,7 @@ def _print_one(options: argparse.Namespace, file: Path, done: Exported) -> None:
         )  # fmt: skip
         return
     _print_streams(found["streams"])
-    _print_sparse(found["streams"], recipe.fps)
+    _print_losses(found["streams"], recipe.fps)
     for note in found["notes"]:
         print_line(f"note: {note}")
     _print_left_out(found["left_out"])
@@ -192,7 +193,7 @@ def _print_many(options: argparse.Namespace, done: Exported) -> None:
     if len(rows) > _SESSIONS:
         print_line(f"  {len(rows) - _SESSIONS:,} more sessions: {options.output}/meta/sessions.json")
     _print_streams(streams)
-    _print_sparse(streams, done.recipe.fps)
+    _print_losses(streams, done.recipe.fps)
     notes = sum(bool(row["notes"]) for row in rows)
     if notes:
         print_line(f"note: the clock of {count_text(notes, 'session')} was corrected: meta/SYNCHRONIZATION.md")
@@ -246,24 +247,33 @@ def _print_streams(facts: Sequence[Mapping[str, Any]]) -> None:
 def _sparse(facts: Sequence[Mapping[str, Any]], fps: int) -> list[dict[str, Any]]:
     """The streams of which the frames have few messages, because others have fewer."""
     return [
-        {**{name: each[name] for name in ("stream", "rate_hz", "used", "within")}, "fps": fps}
+        {**{name: each[name] for name in ("feature", "stream", "rate_hz", "used", "within")}, "fps": fps}
         for each in facts
         if each["rate_hz"] > fps and each["used"] * _SPARSE < each["within"]
     ]
 
 
-def _print_sparse(facts: Sequence[Mapping[str, Any]], fps: int) -> None:
-    """What the frames have less of than the recording."""
+def _print_losses(facts: Sequence[Mapping[str, Any]], fps: int) -> None:
+    for each in _losses(facts, fps):
+        print_line(printable(f"note: {each}"))
+
+
+def _losses(facts: Sequence[Mapping[str, Any]], fps: int) -> Iterator[str]:
+    """What the frames have less of than the recording: depth, strings, messages."""
     for each in facts:
         if each["outside"]:
             text = f"{each['outside']:.1%} of the depth is unknown, or outside of depth_mm, and has one of its ends"
-            print_line(printable(f"note: {each['stream']}: {text}"))
+            yield f"{each['stream']}: {text}"
+        usable = each["messages"] - each["unusable"]
+        if each["rule"] == "none" and each["used"] < usable:
+            more = "" if each["used"] else '; rule = "hold" gives each frame the last one'
+            text = f"{usable - each['used']:,} of {count_text(usable, 'string')} in no frame: outside of the episodes"
+            yield f"{each['stream']}: {text}{more}"
     for each in _sparse(facts, fps):
-        print_line(
-            printable(
-                f"note: {each['stream']} has {each['rate_hz']:,.4g} Hz, the frames {fps}: {each['used']:,} of "
-                f"{count_text(each['within'], 'message')} are in a frame; a larger fps takes more, native = true all"
-            )
+        more = "" if each["feature"].startswith(IMAGES) else ", native = true all"
+        yield (
+            f"{each['stream']} has {each['rate_hz']:,.4g} Hz, the frames {fps}: {each['used']:,} of "
+            f"{count_text(each['within'], 'message')} are in a frame; a larger fps takes more{more}"
         )
 
 

@@ -82,6 +82,23 @@ def test_the_slowest_wanted_stream_gives_the_rate(
     assert seconds > 4 - 2.2 / min(each for name, each in rates.items() if not name.startswith("STRING"))
 
 
+@pytest.mark.parametrize(("at", "rule", "text"), [(-0.5, "hold", ""), (3.99, "none", "1 of 1 string in no frame")])
+def test_a_string_outside_of_the_frames_is_held_or_named(
+    at: float, rule: str, text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is sent once before all else, such as a model of the robot, is not lost; what comes at the end is named."""
+    messages: list[Sent] = [(n / 20, TOOL, arm(n / 20, 0)) for n in range(80)]
+    messages = sorted([*messages, (at, "STRING/Model", String(b"<robot/>"))], key=lambda each: each[0])
+    path, recipe = write_session(tmp_path / "s.mcap", messages), tmp_path / "r.toml"
+    words = ["export", str(path), "--to", "lerobot"]
+    assert main([*words, "--write-recipe", str(recipe)]) == 0
+    assert {row.rule for row in read_recipe(recipe).features if row.stream == "STRING/Model"} == {rule}
+    capsys.readouterr()
+    assert main([*words, "--recipe", str(recipe), "-o", str(tmp_path / "set")]) == 0
+    said = capsys.readouterr().out
+    assert (text in said) if text else "in no frame" not in said
+
+
 RULES = {
     TOOL: "interpolate",
     JOINTS: "interpolate",
