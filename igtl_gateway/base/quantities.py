@@ -50,7 +50,7 @@ def duration_text(ns: float) -> str:
         return _two(round(seconds / _MINUTE), _MINUTE, "h", "min")
     if seconds < _MOST_DAYS:
         days = seconds / _DAY
-        return f"{days:,.0f} days" if days >= 10 else f"{_digits(round(days, 1))} days"
+        return f"{days:,.0f} days" if days >= 10 else f"{f'{days:.1f}'.removesuffix('.0')} days"
     years = seconds / _YEAR
     return f"{years:,.0f} years"
 
@@ -58,6 +58,12 @@ def duration_text(ns: float) -> str:
 def seconds_text(seconds: float) -> str:
     """A duration of a clock that runs, in whole seconds: ``42 s``, ``3 min 20 s``."""
     return duration_text(round(seconds) * NS_PER_S)
+
+
+def rough_text(seconds: float) -> str:
+    """A duration that is estimated, in one unit: ``17 min``, ``28 h``, ``9 days``."""
+    size = next((size for size in (_HOUR, _MINUTE) if seconds >= 2 * size), 1)
+    return seconds_text(round(seconds / size) * size)
 
 
 def moment_text(ns: float) -> str:

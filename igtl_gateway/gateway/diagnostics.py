@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from igtl_gateway.base.quantities import by_count, count_text, duration_text, rate_text, seconds_text
+from igtl_gateway.base.quantities import by_count, count_text, duration_text, rate_text, rough_text
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.convert.common_msgs import DiagnosticArray
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header
@@ -241,5 +241,5 @@ def _disk(left_s: float | None, behind_s: float) -> tuple[int, str]:
     if behind_s:
         return WARN, f"the file is {duration_text(behind_s * NS_PER_S)} behind"
     if left_s is not None and left_s < DISK_LOW_S:
-        return WARN, f"the disk is full in {seconds_text(left_s)} at the present rate"
+        return WARN, f"the disk is full in {rough_text(left_s)} at the present rate"
     return OK, "recording"

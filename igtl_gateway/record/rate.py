@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from igtl_gateway.base.quantities import seconds_text, size_text
+from igtl_gateway.base.quantities import rough_text, size_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.note import Level, Note
 
@@ -52,5 +52,5 @@ class RateWatch:
         self._reported = rate
         text = f"the recording takes {size_text(rate * _HOUR_S)} an hour"
         if free is not None:
-            text += f"; the disk has room for {seconds_text(free / rate)}"
+            text += f"; the disk has room for {rough_text(free / rate)}"
         return Note(Level.INFO, RATE, text, data={"bytes_per_hour": round(rate * _HOUR_S)})

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
-from igtl_gateway.base.quantities import seconds_text, size_text
+from igtl_gateway.base.quantities import rough_text, size_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.note import Level, Note
 
@@ -110,7 +110,7 @@ class SpaceWatch:
     def _note(self, free: int, *, rises: bool) -> Note:
         if self.left_s is None:
             return Note(Level.INFO, ENOUGH, f"the disk of the recording has {size_text(free)} free")
-        left = seconds_text(self.left_s if self.left_s < 120 else 60 * round(self.left_s / 60))
+        left = rough_text(self.left_s)
         text = f"the disk of the recording has {size_text(free)} free: {left} at the present rate"
         level, code = (Level.WARN, LOW) if rises or self._level else (Level.INFO, ENOUGH)
         return Note(level, code, text, data={"free_bytes": free, "left_s": round(self.left_s, 1)})

@@ -11,6 +11,7 @@ from igtl_gateway.base.quantities import (
     moment_text,
     offset_text,
     rate_text,
+    rough_text,
     seconds_text,
     size_text,
 )
@@ -63,6 +64,9 @@ def test_no_duration_has_more_than_four_digits_or_a_wrong_unit(ns: int) -> None:
 def test_offsets_sizes_rates_and_counts() -> None:
     assert [offset_text(ns) for ns in (-119_200_000, 0, 5 * S)] == ["-119.2 ms", "0 s", "+5 s"]
     assert [seconds_text(each) for each in (0.4, 59.4, 3599, 90_000)] == ["0 s", "59 s", "59 min 59 s", "25 h"]
+    assert [rough_text(each) for each in (59.4, 1797, 1000, 100_000, 800_000)] == [
+        "59 s", "30 min", "17 min", "28 h", "9.2 days",
+    ]  # fmt: skip
     assert [moment_text(ns) for ns in (0, 12_345_600_000, -S)] == ["0.000 s", "12.346 s", "-1.000 s"]
     assert [size_text(number) for number in (0, 812, 9_600_000, 2.5e13)] == ["0 B", "812 B", "9.6 MB", "25.0 TB"]
     assert [rate_text(hertz) for hertz in (0.0213, 29.97, 100, 1200)] == ["0.021 Hz", "30.0 Hz", "100.0 Hz", "1.2 kHz"]

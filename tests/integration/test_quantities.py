@@ -22,14 +22,14 @@ RIGHT_AS_IT_IS = {
     "igtl_gateway/base/quantities.py": 6,
     # exact times, for who looks for this one sample
     "igtl_gateway/addons/exchange/scene_out.py": 2,
-    "igtl_gateway/addons/lerobot": 14,
+    "igtl_gateway/addons/lerobot": 40,
     "igtl_gateway/addons/resim": 5,
     "igtl_gateway/testing/compare.py": 1,
     # in the unit of the setting, the limit or the interval beside it
     "igtl_gateway/addons/deidentify/pseudonyms.py": 1,
     "igtl_gateway/addons/exchange/export_verb_run.py": 1,
     "igtl_gateway/addons/exchange/scene_tracks.py": 2,
-    "igtl_gateway/addons/sync": 12,
+    "igtl_gateway/addons/sync": 20,
     "igtl_gateway/addons/view/lag_drawing.py": 2,
     "igtl_gateway/config/faults.py": 1,
     "igtl_gateway/doctor/host_checks.py": 6,

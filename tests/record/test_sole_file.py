@@ -142,7 +142,7 @@ def test_a_file_that_begins_without_the_largest_inputs_names_them(
     assert recording.start(recorder)[0]
     recorder.close({})
     (found,) = [note for note in notes if note.code == "prologue_incomplete"]
-    assert found.text.startswith("the file begins without the last message of TRANSFORM/CT (9 MB)")
+    assert found.text.startswith("the file begins without the last message of TRANSFORM/CT (9.0 MB)")
 
 
 def test_nothing_else_is_done_to_a_recording_that_is_stopped(tmp_path: Path) -> None:

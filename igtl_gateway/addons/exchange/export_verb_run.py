@@ -117,7 +117,7 @@ def _outputs(options: argparse.Namespace) -> Outputs:
 
 def _next_step(options: argparse.Namespace) -> str:
     tables = str(options.output / "*.parquet").replace("'", "''")
-    query = f"SELECT count(*) FROM '{tables}'"
+    query = f"SELECT parse_filename(filename) stream, count(*) FROM read_parquet('{tables}', filename=true) GROUP BY 1"
     count = shlex.quote(query) if any(sign in query for sign in '"$`\\!') else f'"{query}"'
     return TARGETS[options.to].next_step.format(out=shlex.quote(str(options.output)), count=count)
 
