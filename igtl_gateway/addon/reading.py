@@ -56,6 +56,8 @@ if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile.index import recover_hint as recover_hint
     from igtl_gateway.record.sessionfile.only import only_of_kinds as only_of_kinds
     from igtl_gateway.record.sessionfile.order import message_rows as message_rows
+    from igtl_gateway.record.sessionfile.places import MessagePlace as MessagePlace
+    from igtl_gateway.record.sessionfile.places import messages_at as messages_at
     from igtl_gateway.record.sessionfile.ranges import RangeFile as RangeFile
     from igtl_gateway.record.sessionfile.ranges import named as named
     from igtl_gateway.record.sessionfile.reader import SessionFile as SessionFile
@@ -125,6 +127,7 @@ HOMES: Homes = (
     ("record.sessionfile", "records"),
     ("record.sessionfile.index", "read_index read_record recover_hint"),
     ("record.sessionfile.order", "message_rows"),
+    ("record.sessionfile.places", "MessagePlace messages_at"),
     # Closed recordings of a folder, and what of them is uploaded
     ("record.retention.stored", "RecordingFolder StoredRecording file_identity=identity_of open_unlinked"),
     (

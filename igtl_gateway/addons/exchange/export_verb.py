@@ -40,6 +40,8 @@ EXAMPLES = """\
   igtl-gateway export out.mcap --to lerobot --write-recipe recipe.toml
   igtl-gateway export out.mcap --to lerobot --recipe recipe.toml -o set/
   igtl-gateway export out.mcap --to lerobot --check set/
+  # the messages behind a frame, and where they are in the file
+  igtl-gateway export out.mcap --to lerobot --trace set/ --frame 17
 
 formats of --to:
 {formats}
@@ -56,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         type=Path,
         nargs="*",
-        help=f"recording (MCAP); --to {LEROBOT} takes several, and none with --check",
+        help=f"recording (MCAP); --to {LEROBOT} takes several, and none with --check and --trace",
     )
     parser.add_argument(
         "--to", choices=(*TARGETS, LEROBOT), required=True, metavar="FORMAT", help="format to write, see below"

@@ -177,6 +177,18 @@ def _short(row: Feature) -> str:
     return (row.frame or row.stream.rstrip("/").rpartition("/")[2] or row.stream).replace(" ", "_")
 
 
+def join_streams(recording: Recording, recipe: Recipe) -> JoinedStreams:
+    """Return the streams of a session on the clock of the data set.
+
+    Raises ConfigError for a stream that the recording does not have, or has without messages or stamps.
+    """
+    rows = [(number, row) for number, row in enumerate(recipe.features) if not row.next_of]
+    streams = [stream_of(recording, row.stream, f"feature[{number}].stream") for number, row in rows]
+    events = {recipe.episodes.stream, *(row.against for _, row in rows)} - {""}
+    others = [recording[name] for name in sorted(events) if name in recording]
+    return JoinedStreams(streams, recipe.clock, others)
+
+
 def build(recording: Recording, recipe: Recipe, place: Place | None = None) -> Plan:
     """Return the frames of a session.
 
@@ -189,15 +201,12 @@ def build(recording: Recording, recipe: Recipe, place: Place | None = None) -> P
         ConfigError: the recipe and the recording do not fit, with place, found and expected.
         GatewayError: there is no frame.
     """
-    rows = [(number, row) for number, row in enumerate(recipe.features) if not row.next_of]
-    streams = [stream_of(recording, row.stream, f"feature[{number}].stream") for number, row in rows]
-    events = {recipe.episodes.stream, *(row.against for _, row in rows)} - {""}
-    others = [recording[name] for name in sorted(events) if name in recording]
-    joined = JoinedStreams(streams, recipe.clock, others)
+    joined = join_streams(recording, recipe)
     samples: list[Samples | None] = [None] * len(recipe.features)
     place = place or Place()
-    for number, row in rows:
-        samples[number] = read_samples(recording, row, joined, f"feature[{number}]", place.names.get(number, ()))
+    for number, row in enumerate(recipe.features):
+        if not row.next_of:
+            samples[number] = read_samples(recording, row, joined, f"feature[{number}]", place.names.get(number, ()))
     plan = Plan(recipe, joined, samples, place=place)
     _check_kinds(plan)
     found = [each for each in samples if each is not None]

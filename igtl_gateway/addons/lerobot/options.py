@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from igtl_gateway.addon.terminal import output_file
+from igtl_gateway.addon.terminal import default, output_file
 
 LEROBOT = "lerobot"
 LEROBOT_TEXT = "a training set by a recipe: streams at one rate, video, Parquet"
@@ -24,3 +24,10 @@ def add_lerobot(parser: argparse.ArgumentParser) -> None:
         help="write a starting recipe, made of the recording's streams",
     )
     group.add_argument("--check", metavar="DIR", type=Path, help="check a data set, also against its recordings")
+    group.add_argument(
+        "--trace", metavar="DIR", type=Path, help="print the messages behind a frame, with recordings also their bytes"
+    )
+    group.add_argument(
+        "--frame", metavar="[EPISODE:]FRAME", help="frame to trace: its number in the set or the episode"
+    )
+    group.add_argument("--feature", metavar="NAME", help="feature to trace " + default("all"))

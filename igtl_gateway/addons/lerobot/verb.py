@@ -17,12 +17,13 @@ from igtl_gateway.addon.untrusted import printable
 from igtl_gateway.addon.writing import check_target, write_error, write_text, written
 from igtl_gateway.addons.lerobot.options import LEROBOT
 from igtl_gateway.addons.lerobot.recipe import IMAGES
+from igtl_gateway.addons.lerobot.trace_verb import OF_TRACE, run_trace
 
 if TYPE_CHECKING:
     from igtl_gateway.addons.lerobot.assembling import Part
     from igtl_gateway.addons.lerobot.export import Exported, Runner
 
-_OPTIONS = {"recipe": "--recipe", "write_recipe": "--write-recipe", "check": "--check"}
+_OPTIONS = {"recipe": "--recipe", "write_recipe": "--write-recipe", "check": "--check", "trace": "--trace"}
 #: Sessions that the output lists.
 _SESSIONS = 20
 _COUNTS = ("messages", "unusable", "used", "interpolated", "held")
@@ -32,7 +33,7 @@ _SPARSE = 10
 
 def refuse_lerobot_options(options: argparse.Namespace) -> None:
     """Raise ConfigError for options of this format with another one."""
-    for name, text in {**_OPTIONS, "append": "--append"}.items():
+    for name, text in {**_OPTIONS, **OF_TRACE, "append": "--append"}.items():
         if getattr(options, name):
             raise ConfigError(f"{text}: found it with --to {options.to}, expected --to {LEROBOT}")
 
@@ -40,8 +41,10 @@ def refuse_lerobot_options(options: argparse.Namespace) -> None:
 def run_lerobot(options: argparse.Namespace) -> int:
     """Write a recipe or a data set, or check one; return the exit code."""
     given = [text for name, text in _OPTIONS.items() if getattr(options, name) is not None]
-    if options.append and (options.output is None or options.write_recipe or options.check):
-        raise ConfigError("--append: expected it with -o, the data set, and without --write-recipe and --check")
+    if options.append and (options.output is None or options.write_recipe or options.check or options.trace):
+        raise ConfigError(
+            "--append: expected it with -o, the data set, and without --write-recipe, --check and --trace"
+        )
     if not options.append and len(given) != 1:
         raise ConfigError(f"--to {LEROBOT}: found {' and '.join(given) or 'none'}, expected one of "
                           f"{', '.join(_OPTIONS.values())}")  # fmt: skip
@@ -51,11 +54,16 @@ def run_lerobot(options: argparse.Namespace) -> int:
         raise ConfigError(
             f"--streams: found it with --to {LEROBOT}, expected the streams in the recipe, or --write-recipe"
         )
-    if not options.files and not options.check:
+    if not options.files and not (options.check or options.trace):
         raise ConfigError(f"--to {LEROBOT}: found no recording, expected one or more")
+    for name, text in OF_TRACE.items():
+        if getattr(options, name) is not None and not options.trace:
+            raise ConfigError(f"{text}: found it without --trace, expected both")
     with extras.in_use(LEROBOT):
         if options.write_recipe:
             return _write_recipe(options)
+        if options.trace:
+            return run_trace(options)
         return _check(options) if options.check else export_set(options, options.files)
 
 

@@ -22,7 +22,7 @@ The way through the folder, from bytes to sessions:
 ``reader``           file → entries
 ``columns``          entries in bulk: arrays, objects only for what is looked into; ``stream_rows``: written from them;
                      ``only``: entries of some kinds
-``lookup``           starting in the middle of a file
+``lookup``           starting in the middle of a file; ``places``: where a message lies in it
 ``damaged``          the records of a damaged file; ``salvage`` and ``salvage_report``: their messages, and the losses
 ``recovery``         the readable rest of a damaged file as a new one, which is read again
 ``sealing``          seals of a file that is written; ``seal_copy``: of one that exists
