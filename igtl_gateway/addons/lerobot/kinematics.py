@@ -121,15 +121,15 @@ class KinematicsSource(NonRosSource):
         return np.round(numbers * (NS_PER_S / row.rate)).astype(np.int64) + round(row.start * NS_PER_S)
 
     def _add_poses(self, row: PoseRow, table: KinematicsTable, times: Times, place: str) -> None:
-        position = table.numbers(row.position, f"{place}.position", 3) * LENGTHS[row.unit]
+        position = table.numbers(row.position, f"{place}.position") * LENGTHS[row.unit]
         if row.rotation:
             matrices = np.zeros((table.rows, 4, 4))
-            matrices[:, :3, :3] = table.numbers(row.rotation, f"{place}.rotation", 9).reshape(-1, 3, 3)
+            matrices[:, :3, :3] = table.numbers(row.rotation, f"{place}.rotation").reshape(-1, 3, 3)
             matrices[:, 3, 3] = 1
             quaternions, good = quaternions_of(matrices)
             quaternions = np.where(good[:, np.newaxis], quaternions, np.nan)
         else:
-            quaternions = table.numbers(row.quaternion, f"{place}.quaternion", 4)
+            quaternions = table.numbers(row.quaternion, f"{place}.quaternion")
             if row.order == "wxyz":
                 quaternions = quaternions[:, [1, 2, 3, 0]]
         stream = self._add(row.name, PoseStamped.TYPE, table.rows)
@@ -139,18 +139,11 @@ class KinematicsSource(NonRosSource):
 
     def _add_joints(self, row: JointsRow, table: KinematicsTable, times: Times, place: str) -> None:
         position = table.numbers(row.position, f"{place}.position")
-        names = row.names or tuple(
-            [str(each) for each in row.position]
-            if len(row.position) == position.shape[1]
-            else [f"{row.position[0]}_{number}" for number in range(position.shape[1])]
-        )
-        if len(names) != position.shape[1]:
-            raise ConfigError(f"{place}.names: found {counted(len(names), 'name')}, expected {position.shape[1]}")
+        names = row.names or tuple(map(str, row.position))
         values = [position * JOINTS[row.unit]]
         for name in ("velocity", "effort"):
             columns = getattr(row, name)
-            found = table.numbers(columns, f"{place}.{name}", position.shape[1]) if columns else None
-            values.append(np.empty((table.rows, 0)) if found is None else found)
+            values.append(table.numbers(columns, f"{place}.{name}") if columns else np.empty((table.rows, 0)))
         values[1] = values[1] * JOINTS[row.unit]
         stream = self._add(row.name, JointState.TYPE, table.rows)
         good = np.asarray(np.isfinite(np.concatenate(values, axis=1)).all(axis=1))

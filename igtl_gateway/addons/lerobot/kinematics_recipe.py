@@ -26,9 +26,8 @@ LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 JOINTS = {"rad": 1.0, "deg": math.pi / 180, **LENGTHS}
 SEPARATORS = {",": ",", ";": ";", "tab": "\t", "space": " "}
 ORDERS = ("xyzw", "wxyz")
-VIDEOS, TEXTS, HDF5 = (".mp4", ".m4v", ".mov"), (".csv", ".txt", ".tsv"), (".h5", ".hdf5")
+VIDEOS, TEXTS = (".mp4", ".m4v", ".mov"), (".csv", ".txt", ".tsv")
 BEGIN, UTC = "begin", "utc"
-_LISTS = frozenset({"position", "velocity", "effort", "quaternion", "rotation"})
 _TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _MOST_TEXT, _MOST_COLUMNS, _MOST_S, _MOST_HZ = 255, 1000, 1e9, 1e5
 
@@ -124,8 +123,6 @@ def _file(suffixes: tuple[str, ...]) -> Check:
 
 def _columns(count: int = 0) -> Check:
     def is_good(value: Any) -> bool:
-        if _is_text(value):  # of HDF5: all columns of a data set
-            return True
         is_list = isinstance(value, list) and all(map(_is_column, value))
         return is_list and (len(value) == count if count else 1 <= len(value) <= _MOST_COLUMNS)
 
@@ -154,12 +151,12 @@ _VIDEO: dict[str, Check] = {
     "name": _NAME,
     "frame": _TEXT,
     "start": _number(-_MOST_S, _MOST_S),
-    "times": _file((*TEXTS, *HDF5)),
+    "times": _file(TEXTS),
     "time": _COLUMN,
     "unit": _choice(TIMES),
 }
 _TABLE: dict[str, Check] = {
-    "file": _file((*TEXTS, *HDF5)),
+    "file": _file(TEXTS),
     "time": _COLUMN,
     "unit": _choice(TIMES),
     "zero": _choice((BEGIN, UTC)),
@@ -240,8 +237,6 @@ def _of(kind: type[Row], value: Any, checks: Mapping[str, Check], place: str) ->
             raise _wrong(f"{place}.{name}", found, expected)
         if isinstance(found, list):
             settings[name] = tuple(found)
-        elif name in _LISTS:
-            settings[name] = (found,)
     for field in fields(kind):
         if field.default is MISSING and field.name not in settings:
             raise ConfigError(f"{place}: found no {field.name}, expected {checks[field.name][1]}")
@@ -292,6 +287,5 @@ def _check_name(names: dict[str, str], name: str, place: str) -> None:
 def _check_joints(row: JointsRow, place: str) -> None:
     for name in ("velocity", "effort", "names"):
         found: tuple[Any, ...] = getattr(row, name)
-        is_whole = len(row.position) == 1 and isinstance(row.position[0], str)  # of HDF5: any number of columns
-        if found and len(found) != len(row.position) and not is_whole:
+        if found and len(found) != len(row.position):
             raise ConfigError(f"{place}.{name}: found {counted(len(found), 'value')}, expected {len(row.position)}")

@@ -17,7 +17,6 @@ import pyarrow as pa
 from pyarrow import csv
 
 from igtl_gateway.addon import NS_PER_S, ConfigError, DamagedRecording, one_of
-from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addon.untrusted import limits, open_file, printable
 from igtl_gateway.addons.lerobot.kinematics_recipe import SEPARATORS, TIMES, Column
 
@@ -38,20 +37,16 @@ class KinematicsTable:
     Attributes:
         path: its file.
         rows: number of rows.
-        read: returns a column (rows,), or of HDF5 also (rows, K).  Raises ConfigError with the place of the column.
+        read: returns a column (rows,).  Raises ConfigError with the place of the column.
     """
 
     path: Path
     rows: int
     read: Callable[[Column, str], Array]
 
-    def numbers(self, columns: Sequence[Column], place: str, count: int = 0) -> Array:
-        """Return columns as (rows, K) float64; ``count``: that K must be.  Raises ConfigError with ``place``."""
-        parts = [self.read(each, place).astype(np.float64) for each in columns]
-        found = np.concatenate([each.reshape(self.rows, -1) for each in parts], axis=1)
-        if count and found.shape[1] != count:
-            raise ConfigError(f"{place}: found {counted(found.shape[1], 'column')}, expected {count}")
-        return found
+    def numbers(self, columns: Sequence[Column], place: str) -> Array:
+        """Return columns as (rows, K) float64.  Raises ConfigError with ``place``."""
+        return np.stack([self.read(each, place).astype(np.float64) for each in columns], axis=1)
 
     def times(self, column: Column, unit: str, place: str) -> Times:
         """Return a column of times (rows,), ns, that increase.
@@ -59,8 +54,6 @@ class KinematicsTable:
         Raises ConfigError with ``place``, DamagedRecording with the row.
         """
         values = self.read(column, place)
-        if values.ndim != 1:
-            raise ConfigError(f"{place}: found {counted(values.shape[1], 'column')}, expected 1")
         factor = TIMES[unit]
         with np.errstate(invalid="ignore", over="ignore"):
             good = np.isfinite(values.astype(np.float64)) & (np.abs(values.astype(np.float64)) < LATEST_NS / factor)

@@ -48,7 +48,7 @@ _UNIT = 1e-2
 #: Bytes of messages that are made at once.
 _BLOCK = 1 << 24
 #: First bytes of an encoded picture → the format of CompressedImage.
-_STILLS = {b"\x89PNG": "png", b"\xff\xd8\xff": "jpeg"}
+_STILLS = {b"\x89PNG": "png", b"\xff\xd8\xff": "jpeg", b"II*\0": "tiff", b"MM\0*": "tiff"}
 
 
 def names_of(feature: Mapping[str, Any], count: int) -> tuple[str, ...]:
@@ -164,7 +164,7 @@ def still_messages(column: pa.ChunkedArray, times: Times, frame: str, place: str
         form = next((name for start, name in _STILLS.items() if data.startswith(start)), "")
         if not form:
             found = f"{data[:4]!r}" if data else "no bytes"
-            raise DamagedRecording(f"{place}: row {row}: found {found}, expected a PNG or JPEG picture in the table")
+            raise DamagedRecording(f"{place}: row {row}: found {found}, expected PNG, JPEG or TIFF in the table")
         yield CompressedImage(Header(time_ns, frame), form, data).pack()
 
 
