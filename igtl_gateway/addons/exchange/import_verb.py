@@ -39,6 +39,7 @@ EXAMPLES = """\
   # a LeRobot data set (v2.1, v3.0), or one of its episodes
   igtl-gateway import dataset/ -o session.mcap
   igtl-gateway import dataset/ -o episode.mcap --episodes 7
+  igtl-gateway import dataset/ -o sessions/ --each
   # videos with tables of kinematics, by a recipe (examples/kinematics.toml)
   igtl-gateway import recipe.toml -o session.mcap
   # the bytes that an OpenIGTLink server sent
@@ -54,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "source", metavar="SOURCE", type=Path, help="file, or directory of a rosbag2 recording or a LeRobot data set"
     )
-    add_output(parser, "session file to write", new_recording, required=True)
+    add_output(parser, "session file to write, or directory with --each", new_recording, required=True)
     parser.add_argument(
         "--epoch",
         metavar="TIME",
@@ -66,6 +67,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N:M",
         default="",
         help="of a LeRobot data set: an episode such as 3, or a half-open range such as 0:8 " + default("all"),
+    )
+    parser.add_argument(
+        "--each", action="store_true", help="of a LeRobot data set: a session for each episode, in the directory OUT"
     )
     parser.add_argument(
         "--partial", action="store_true", help="if SOURCE is damaged, write what was read before the damage"
@@ -87,6 +91,7 @@ def epoch(text: str) -> int:
 
 
 def runner() -> Callable[[argparse.Namespace], int]:
-    from igtl_gateway.addons.exchange.import_verb_run import run  # here: the help does not wait for it
+    from igtl_gateway.addons.exchange.import_each import run_each  # here: the help does not wait for them
+    from igtl_gateway.addons.exchange.import_verb_run import run
 
-    return run
+    return lambda options: run_each(options) if options.each else run(options)

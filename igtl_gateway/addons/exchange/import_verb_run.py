@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
                 messages += entry.kind not in _FACTS
         except (DamagedRecording, WireError, layout.LayoutError) as error:
             failure = str(error)
-        writer.close({"import": {"rows": [_row_facts(row) for row in source.rows], "failure": failure}})
+        writer.close({"import": {"rows": [row_facts(row) for row in source.rows], "failure": failure}})
         if not messages and not failure:
             raise _nothing(options.source, source.rows)
         size = place.stat().st_size
@@ -68,7 +68,7 @@ def run(options: argparse.Namespace) -> int:
         "good": good,
         "entries": writer.entries,
         "bytes": size if is_kept else 0,
-        "rows": [_row_facts(row) for row in source.rows],
+        "rows": [row_facts(row) for row in source.rows],
         "notes": notes,
         "failure": failure,
     }
@@ -96,7 +96,8 @@ def import_facts(path: Path, source: Source) -> dict[str, str]:
     }
 
 
-def _row_facts(row: ImportedStream) -> dict[str, Any]:
+def row_facts(row: ImportedStream) -> dict[str, Any]:
+    """Return a row of the account as JSON."""
     return {
         "stream": row.stream,
         "type": row.type,
@@ -109,14 +110,19 @@ def _row_facts(row: ImportedStream) -> dict[str, Any]:
     }
 
 
-def _print(source: Source, facts: dict[str, Any], messages: int) -> None:
-    print_line(source.title)
+def print_rows(rows: Sequence[ImportedStream]) -> None:
+    """Print the account as a table; rows that lack messages are marked."""
     table: list[Sequence[str]] = [("  stream", "found", "imported", "left out", "type")]
-    for row in source.rows:
+    for row in rows:
         numbers = (f"{number:,}" for number in (row.declared, row.taken, row.left_out))
         about = "; ".join(filter(None, (row.type or row.unit, row.why)))
         table.append((f"{' ' if row.good else '!'} {row.stream}", *numbers, about))
     print_line(*aligned(table, left=1, indent="", text=True))
+
+
+def _print(source: Source, facts: dict[str, Any], messages: int) -> None:
+    print_line(source.title)
+    print_rows(source.rows)
     for note in facts["notes"]:
         print_line(f"note: {note}")
     if facts["failure"]:

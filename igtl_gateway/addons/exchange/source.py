@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from mcap.records import Attachment, Metadata
 
@@ -98,6 +98,15 @@ class Source(Protocol):
 
     def close(self) -> None:
         """Close the files."""
+        ...
+
+
+@runtime_checkable
+class DividedSource(Source, Protocol):
+    """A source whose parts can be sessions of their own."""
+
+    def each(self) -> Iterator[tuple[str, Source]]:
+        """Yield name and source of each part, in the order of time."""
         ...
 
 

@@ -97,21 +97,20 @@ def open_set(root: Path, epoch_ns: int | None, default_ns: int, episodes: str = 
 
     ``epoch_ns`` and ``default_ns`` are those of ``times_of``.  Raises GatewayError.
     """
-    return SetSource(root, epoch_ns, default_ns, episodes)
+    found = read_data_set(root)
+    times = times_of(found, epoch_ns, default_ns)
+    chosen = _chosen(found.episodes, episodes)
+    _check_files(chosen, found)
+    return SetSource(found, times, sorted(chosen, key=lambda each: (times.begins[each.index], each.index)))
 
 
 class SetSource(NonRosSource):
-    """An open data set.  Raises GatewayError."""
+    """Episodes of an open data set, in the order of time.  Raises GatewayError."""
 
-    def __init__(self, root: Path, epoch_ns: int | None, default_ns: int, episodes: str) -> None:
-        found = read_data_set(root)
-        super().__init__(f"LeRobot data set {root.resolve().name}, {found.version}")
-        self._found, self._fps = found, int(found.info["fps"])
-        self._times: SetTimes = times_of(found, epoch_ns, default_ns)
-        chosen = _chosen(found.episodes, episodes)
-        self._episodes = sorted(chosen, key=lambda each: (self._times.begins[each.index], each.index))
-        self._count = sum(each.length for each in chosen)
-        _check_files(chosen, found)
+    def __init__(self, found: FoundDataSet, times: SetTimes, episodes: Sequence[FoundEpisode]) -> None:
+        super().__init__(f"LeRobot data set {found.root.resolve().name}, {found.version}")
+        self._found, self._fps, self._times, self._episodes = found, int(found.info["fps"]), times, episodes
+        self._count = sum(each.length for each in episodes)
         self._streams = [_SetStream(TASK, String.TYPE, ImportedStream("task", 0, String.TYPE), self._tasks)]
         self._columns: list[str] = []
         for name, feature in found.info["features"].items():
@@ -123,7 +122,12 @@ class SetSource(NonRosSource):
             "lerobot_topics": json.dumps({each.topic: each.row.stream for each in self._streams}, sort_keys=True),
             "lerobot_info": json.dumps(found.info, sort_keys=True)[:_MOST_INFO],
         }
-        self._add_notes(chosen)
+        self._add_notes(sorted(episodes, key=lambda each: each.index))
+
+    def each(self) -> Iterator[tuple[str, SetSource]]:
+        """Yield name and source of each episode."""
+        for episode in self._episodes:
+            yield f"episode-{episode.index:06d}", SetSource(self._found, self._times, [episode])
 
     def _topic(self, name: str) -> str:
         """A topic of its own for a feature."""

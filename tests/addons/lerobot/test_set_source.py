@@ -18,8 +18,10 @@ from pyarrow import parquet
 import igtl_gateway
 from igtl_gateway.addons.lerobot.comparing import check
 from igtl_gateway.addons.lerobot.export import export_lerobot
+from igtl_gateway.base.buffers import join
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.cli import FAILURE, USAGE, main
+from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.text import String
 from tests.addons.lerobot.sessions import BEGIN_NS, Sent, arm, bars, joints, write_session
@@ -361,3 +363,36 @@ def test_a_damaged_end_leaves_what_was_before_it(sets: Path, tmp_path: Path) -> 
     assert main(["import", str(root), "-o", str(out), "--partial"]) == FAILURE
     with igtl_gateway.open(out) as recording:
         assert len(recording["/action"]) == 5
+
+
+def test_a_session_for_each_episode(sets: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root, out = without_times(sets / "v3.0", tmp_path / "set"), tmp_path / "sessions"
+    assert main(["import", str(root), "-o", str(out), "--each", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [each["file"] for each in told["sessions"]] == ["episode-000000.mcap", "episode-000001.mcap"]
+    one = imported(root, tmp_path / "1.mcap", "--episodes", "1")
+    assert (out / "episode-000001.mcap").read_bytes() == one.read_bytes()
+    [actions] = [row for row in told["rows"] if row["stream"] == "action"]
+    assert (actions["declared"], actions["imported"], actions["good"]) == (10, 10, True)
+
+
+def test_a_damaged_episode_has_no_session(sets: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root, out = without_times(sets / "v2.1", tmp_path / "set"), tmp_path / "sessions"
+    column("task_index", lambda each: [9] * 5)(root)
+    assert main(["import", str(root), "-o", str(out), "--each"]) == FAILURE
+    assert [each.name for each in out.iterdir()] == ["episode-000000.mcap"]
+    lines = capsys.readouterr().out.splitlines()
+    assert any(each.startswith("! episode-000001.mcap: not written: ") and "task_index" in each for each in lines)
+    assert lines[-1].startswith(f"{out}: 1 session, ")
+    for number in (0, 1):
+        path = root / "data" / "chunk-000" / f"episode_{number:06d}.parquet"
+        path.write_bytes(path.read_bytes()[:100])
+    assert main(["import", str(root), "-o", str(tmp_path / "no"), "--each"]) == FAILURE
+    assert not (tmp_path / "no").exists()
+
+
+def test_a_file_has_no_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "s.igtl").write_bytes(join(encode(Message("STRING", "Said", String(b"go")))))
+    for words in (["--each"], ["--episodes", "1"]):
+        assert main(["import", str(tmp_path / "s.igtl"), "-o", str(tmp_path / "s"), *words]) == USAGE
+        assert f"{words[0]}: found it with another source, expected a LeRobot data set" in capsys.readouterr().err
