@@ -124,17 +124,19 @@ def trace(root: Path, episode: int | None, frame: int, feature: str, paths: Sequ
         raise ConfigError(f"--feature: found {feature!r}, expected {one_of(feature, list(recipe.names))}")
     index, episode, frame = _numbers(found, episode, frame)
     exported = exported_episodes(root, listed)
-    known = origins(found, exported)
-    origin = None if known is None else known[episode]
+    known = origins(found, exported, listed.others)
+    origin = None if known is None or episode < listed.others else known[episode - listed.others]
     if origin is None:
         raise ConfigError(
-            f"--frame: found episode {episode}, which is not known from the export of the set, expected one of it"
+            f"--frame: found episode {episode}, which is of no session of meta/{SESSIONS}, expected one of them"
         )
-    with parquet_columns(root / "meta" / provenance_of(exported[origin].session)) as columns:
-        table = _Provenance(columns.read, f"meta/{provenance_of(exported[origin].session)}", exported[origin])
+    of_session = exported[origin]
+    place = f"meta/{provenance_of(of_session.session)}"
+    with parquet_columns(root / place) as columns:
+        table = _Provenance(columns.read, place, of_session)
         rows = [row for name in names for row in _rows(table, recipe, name, frame)]
         time_ns = int(table.value("time_ns", frame))
-    session = listed.sessions[exported[origin].session]
+    session = listed.sessions[of_session.session]
     path = _recording_of(session, paths)
     if path is not None:
         rows = _placed(path, recipe, listed, rows, time_ns)

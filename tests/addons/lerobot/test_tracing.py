@@ -17,6 +17,7 @@ from pyarrow import parquet
 from igtl_gateway.addons.exchange.targets import export_to
 from igtl_gateway.addons.lerobot.export import export_lerobot
 from igtl_gateway.addons.lerobot.tracing import Traced, trace
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli import main
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.wire.image import Image
@@ -165,6 +166,20 @@ def test_a_set_that_was_edited_is_traced_by_what_it_was(made: Path, tmp_path: Pa
     traced = trace(root, None, 0, "", [])
     assert (traced.episode, traced.index) == (0, 0) and traced.rows == expected.rows
     assert traced.time_ns == expected.time_ns
+
+
+def test_episodes_of_another_program_have_no_messages(made: Path, tmp_path: Path) -> None:
+    """A set of LeRobot to which the session was added: its episodes come first, and are in no provenance."""
+    root = shutil.copytree(made / "set", tmp_path / "set")
+    path = root / "meta/sessions.json"
+    listed = json.loads(path.read_text("utf-8"))
+    listed["others"], listed["sessions"][0]["episodes"] = 1, 1
+    path.write_text(json.dumps(listed), "utf-8")
+    provenance = root / "meta/provenance.parquet"
+    parquet.write_table(parquet.read_table(provenance, filters=[("episode_index", "=", 1)]), provenance)
+    with pytest.raises(ConfigError, match=r"found episode 0, which is of no session of meta/sessions.json"):
+        trace(root, 0, 0, "", [])
+    assert trace(root, 1, 2, "", []).rows == trace(made / "set", 1, 2, "", []).rows
 
 
 def test_what_the_verb_prints(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
