@@ -107,6 +107,10 @@ class Recording(Mapping[str, Stream]):
         self._source.state.closed = True
         self._resources.close()
 
+    def forget_chunks(self) -> None:
+        """Free the unpacked chunks that are kept, up to 64 MiB; what is used again is read again."""
+        self._source.file.forget_chunks()
+
     def __repr__(self) -> str:
         if self._source.state.closed:
             return f"<Recording {self.path!r}: closed>"

@@ -169,6 +169,20 @@ class Stream:
         """Yield the messages in blocks of arrays, undecoded: for programs that decode themselves."""
         return self._of_link(self._source.blocks(self._channel, self._window))
 
+    @property
+    def is_indexed(self) -> bool:
+        """Whether ``blocks_between`` reads a message without those before it."""
+        return self._source.file.is_indexed
+
+    def blocks_between(self, start_ns: int, end_ns: int) -> Iterator[MessageBlock]:
+        """Yield its messages with gateway times from ``start_ns`` on and before ``end_ns``, as ``blocks``.
+
+        Only their chunks are unpacked if ``is_indexed``, of which the last ones are kept: for programs that read single
+        messages in any order.
+        """
+        window = max(self._window[0], start_ns), min(self._window[1], end_ns)
+        return self._of_link(self._source.blocks(self._channel, window))
+
     def _of_link(self, blocks: Iterator[MessageBlock]) -> Iterator[MessageBlock]:
         return blocks if not self._link else (block.where(_links_of(block) == self._link) for block in blocks)
 
@@ -327,6 +341,10 @@ class Stream:
     def poses_of(self, blocks: Iterable[MessageBlock], frame: str = "") -> Poses:
         """Return the poses in blocks of its messages, as ``poses`` does: for programs that read a file once."""
         return read_poses(self._source, self._channel, self.unit, blocks, frame)
+
+    def images_of(self, blocks: Iterable[MessageBlock]) -> Images:
+        """Return the images in blocks of its messages, as ``images`` does; of several peers, too."""
+        return Images(self._source, self._channel, self.unit, list(blocks))
 
     def points_of(self, blocks: Iterable[MessageBlock]) -> Clouds:
         """Return the points in blocks of its messages, as ``points`` does."""

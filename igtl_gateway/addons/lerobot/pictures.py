@@ -5,7 +5,7 @@ Every form of a picture gives the pixels that it stands for, or is refused by na
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from typing import Any
 
@@ -30,13 +30,15 @@ from igtl_gateway.addon.messages import (
 from igtl_gateway.addon.reading import MessageBlock, Stream
 from igtl_gateway.addon.ros import CompressedImage, CompressedVideo, Volume
 from igtl_gateway.addon.ros import Image as RosImage
-from igtl_gateway.addon.streams import Images, find_row
 from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addons.lerobot.depth import LEAST_SIZE, codes_of, depth_stats, millimetres, outside
 from igtl_gateway.addons.lerobot.stats import PictureStats
 
 Pixels = npt.NDArray[Any]
 Array = npt.NDArray[Any]
+#: Where a picture is: gateway times (ns) of the message that its decoding begins with and of its own, and the number of
+#: messages of the stream with that time before it, which is 0 in recordings of the gateway.
+Place = tuple[int, int, int]
 
 _PLAIN = frozenset({"IMAGE", RosImage.TYPE, Volume.TYPE})
 _CODED = frozenset({"VIDEO", CompressedImage.TYPE, CompressedVideo.TYPE})
@@ -53,16 +55,17 @@ def has_pictures(stream: Stream) -> bool:
 def first_pixels(stream: Stream) -> Array:
     """Return the pixels of the first picture as they are.  Raises ConfigError if a stream has none."""
     if stream.type in _PLAIN:
-        return stream.images()[0].plane
+        return stream.images_of([next(stream.blocks())])[0].plane
     coded = _Coded(stream)
-    found = next((each for each in map(coded.read, range(len(coded))) if each is not None), None)
-    if found is None:
+    found = (coded.read(block, row) for block in stream.blocks() for row in range(len(block)))
+    first = next((each for each in found if each is not None), None)
+    if first is None:
         raise ConfigError(f"{stream.key}: found no picture that can be decoded")
-    return found
+    return first
 
 
 class Pictures:
-    """The pictures of a stream; each one is decoded when it is used.
+    """The pictures of a stream; each one is read and decoded when it is used.
 
     Args:
         stream: IMAGE, VIDEO, sensor_msgs/Image, CompressedImage, CompressedVideo, or Volume with one slice.
@@ -72,8 +75,10 @@ class Pictures:
 
     Attributes:
         usable: indices of the messages that have a picture.
+        places: (N, 3) int64, where the picture of each message is: a ``Place``.
         size: rows and columns of the recorded pictures.
         pixels, outside: number of pixels, and of those whose depth is unknown or outside of ``depth_mm``.
+        is_indexed: whether one is read without those before it.
 
     Raises ConfigError for other types, for a size that changes, for encodings that are not read, and for more than
     8 bits without a window.
@@ -82,157 +87,228 @@ class Pictures:
     def __init__(self, stream: Stream, window: tuple[float, ...] = (), depth_mm: tuple[float, ...] = ()) -> None:
         if not has_pictures(stream):
             raise ConfigError(f"found type {stream.type} in {stream.key}, expected pictures")
-        self._window, self._depth_mm, self._key = window, depth_mm, stream.key
-        self._read: Callable[[int], Pixels | None]
         if stream.type in _PLAIN:
-            images = stream.images()
-            self._read, count = lambda index: self._plain(images, index), len(images)
-        else:
-            coded = _Coded(stream)
-            self._read, count = lambda index: self._coded(coded, index), len(coded)
-        self.size = (0, 0)
-        self.pixels = self.outside = 0
-        self.usable = np.array([index for index in range(count) if self._fits(index)], np.int64)
+            stream.check_sender()
+        self._reader, self._depth_mm = PictureReader(stream, window, depth_mm), depth_mm
+        self.is_indexed = stream.is_indexed
+        self.size, self.pixels, self.outside = (0, 0), 0, 0
+        places: list[Place] = []
+        usable: list[int] = []
+        for index, (place, picture) in enumerate(self._reader.look_through()):
+            places.append(place)
+            if picture is None:
+                continue
+            size = picture.shape[0], picture.shape[1]
+            if self.size == (0, 0):
+                self.size = size
+            if size != self.size:
+                raise ConfigError(f"{stream.key}: found a picture of {size[1]} × {size[0]} pixels in message {index}, "
+                                  f"expected {self.size[1]} × {self.size[0]} as before")  # fmt: skip
+            if depth_mm:
+                if min(size) < LEAST_SIZE:
+                    raise ConfigError(f"{stream.key}: found depth of {size[1]} × {size[0]} pixels, expected at least "
+                                      f"{LEAST_SIZE} × {LEAST_SIZE}")  # fmt: skip
+                self.pixels += picture.size
+                self.outside += outside(picture, depth_mm)
+            usable.append(index)
+        self.places = np.array(places, np.int64).reshape(-1, 3)
+        self.usable = np.array(usable, np.int64)
 
     def no_stats(self) -> PictureStats:
         """Return statistics of no picture, to which those of the stream can be added."""
-        if not self._depth_mm:
-            return PictureStats()
-        return depth_stats(self._depth_mm)
+        return depth_stats(self._depth_mm) if self._depth_mm else PictureStats()
 
     def rgb(self, index: int) -> Pixels:
         """Return a usable picture, with rows and columns repeated to even numbers.
 
         Returns (rows, columns, 3) uint8; of depth (rows, columns, 1) uint16, codes.
         """
-        picture = self._read(index)
-        if picture is None:
-            raise GatewayError(f"{self._key}: found no picture in message {index}, expected one")
-        if self._depth_mm:
-            picture = codes_of(picture, self._depth_mm)
-        rows, columns = picture.shape[:2]
-        return np.pad(picture, ((0, rows % 2), (0, columns % 2), (0, 0)), "edge")
+        begin_ns, time_ns, before = self.places[index].tolist()
+        return self._reader.rgb((begin_ns, time_ns, before))
 
     @property
     def padded(self) -> tuple[int, int]:
         """Rows and columns of the video."""
         return self.size[0] + self.size[0] % 2, self.size[1] + self.size[1] % 2
 
-    def _fits(self, index: int) -> bool:
-        picture = self._read(index)
-        if picture is None:
-            return False
-        size = picture.shape[0], picture.shape[1]
-        if self.size == (0, 0):
-            self.size = size
-        if size != self.size:
-            raise ConfigError(f"{self._key}: found a picture of {size[1]} × {size[0]} pixels in message {index}, "
-                              f"expected {self.size[1]} × {self.size[0]} as before")  # fmt: skip
-        if self._depth_mm:
-            if min(size) < LEAST_SIZE:
-                raise ConfigError(f"{self._key}: found depth of {size[1]} × {size[0]} pixels, expected at least "
-                                  f"{LEAST_SIZE} × {LEAST_SIZE}")  # fmt: skip
-            self.pixels += picture.size
-            self.outside += outside(picture, self._depth_mm)
-        return True
 
-    def _plain(self, images: Images, index: int) -> Pixels | None:
-        """A picture, or None for a damaged or an empty message."""
-        try:
-            view = images[index]
-            plane = view.plane
-        except ConfigError:
-            raise
-        except ConversionError as error:  # an encoding that is not read
-            raise ConfigError(f"{self._key}: {error}") from None
-        except GatewayError:
-            return None
-        if not plane.size:
-            return None
-        pattern = bayer_pattern(view.encoding)
-        if self._depth_mm and not pattern:
-            return self._depth(plane)
-        if pattern:
-            return self._eight_bits(demosaiced(np.ascontiguousarray(plane), pattern), False)
-        return self._eight_bits(plane, bool(view.encoding) and pixel_layout(view.encoding)[2])
+class PictureReader:
+    """Reads single pictures of a stream in any order, as RGB or codes of depth, by the index of the file.
 
-    def _coded(self, coded: _Coded, index: int) -> Pixels | None:
-        try:
-            picture = coded.read(index)
-        except ConversionError as error:
-            raise ConfigError(f"{self._key}: message {index}: {error}") from None
-        if picture is None:
-            return None
-        return self._depth(picture) if self._depth_mm else self._eight_bits(picture, False)
+    The last picture is kept, and the decoder of a video: of pictures that follow each other each is decoded once.  A
+    file without a usable index is kept in memory.
 
-    def _depth(self, plane: Array) -> Array:
-        """Depth in mm, (rows, columns, 1)."""
-        if plane.ndim == 3 and plane.shape[2] != 1:
-            raise ConfigError(f"{self._key}: found {counted(plane.shape[2], 'component')}, expected 1 for depth_mm")
-        return millimetres(plane if plane.ndim == 3 else plane[:, :, np.newaxis])
+    Args:
+        stream, window, depth_mm: as of ``Pictures``.
+    """
 
-    def _eight_bits(self, plane: Array, is_blue_first: bool) -> Pixels:
-        if self._depth_mm:
-            raise ConfigError(f"{self._key}: found colours, expected depth for depth_mm")
+    def __init__(self, stream: Stream, window: tuple[float, ...] = (), depth_mm: tuple[float, ...] = ()) -> None:
+        self._stream, self._window, self._depth_mm = stream, window, depth_mm
+        self._decoder = _Plain(stream) if stream.type in _PLAIN else _Coded(stream)
+        self._held: list[MessageBlock] = [] if stream.is_indexed else list(stream.blocks())
+        self._place: Place = (0, 0, 0)
+        self._plane: Array | None = None
+
+    def look_through(self) -> Iterator[tuple[Place, Array | None]]:
+        """Yield the place of each message in order, with its pixels (rows, columns, components), or None without any.
+
+        Depth is in mm.
+
+        Raises ConfigError for what is not read.
+        """
+        begin_ns = 0
+        for index, (at, block, row) in enumerate(_numbered(self._stream.blocks())):
+            try:
+                plane = self._decoder.read(block, row)
+            except ConversionError as error:
+                raise ConfigError(f"{self._stream.key}: message {index}: {error}") from None
+            begin_ns = at[0] if self._decoder.can_begin else begin_ns
+            yield (begin_ns, *at), None if plane is None else self._checked(plane)
+        self._decoder.begin()
+
+    def rgb(self, place: Place) -> Pixels:
+        """Return the picture at a place, as ``Pictures.rgb`` does.
+
+        Raises GatewayError if there is none, or it cannot be read.
+        """
+        if place != self._place or self._plane is None:
+            # a decoder may need more for a key frame of open groups than what follows it
+            self._decode(place)
+            if self._plane is None:
+                self._decode((0, *place[1:]))
+        if self._plane is None:
+            raise GatewayError(f"{self._stream.key}: found no picture in the message at {place[1]} ns, expected one")
+        plane = self._checked(self._plane)
+        picture = codes_of(plane, self._depth_mm) if self._depth_mm else self._eight_bits(plane)
+        rows, columns = picture.shape[0] % 2, picture.shape[1] % 2
+        return np.pad(picture, ((0, rows), (0, columns), (0, 0)), "edge") if rows or columns else picture
+
+    def _decode(self, place: Place) -> None:
+        """Read the picture at a place, after the messages from where decoding begins, or goes on."""
+        begin_ns, wanted = place[0], place[1:]
+        after = self._place[1:]
+        if self._place[0] != begin_ns or after >= wanted:
+            self._decoder.begin()
+            after = begin_ns, -1
+        self._place, self._plane = (0, 0, 0), None  # if it fails, the next one begins again
+        for at, block, row in _numbered(self._between(after[0], wanted[0] + 1)):
+            if after < at <= wanted:
+                self._plane = self._decoder.read(block, row, is_wanted=at == wanted)
+        self._place = place
+
+    def _between(self, start_ns: int, end_ns: int) -> Iterable[MessageBlock]:
+        if not self._held:
+            return self._stream.blocks_between(start_ns, end_ns)
+        return (block.where((block.times >= start_ns) & (block.times < end_ns)) for block in self._held)
+
+    def _checked(self, plane: Array) -> Array:
+        """The pixels (rows, columns, components), of depth in mm.  Raises ConfigError for what is not exported."""
         if plane.ndim == 2:
             plane = plane[:, :, np.newaxis]
+        key = self._stream.key
+        if self._depth_mm:
+            if plane.shape[2] != 1:
+                raise ConfigError(f"{key}: found {counted(plane.shape[2], 'component')}, expected 1 for depth_mm")
+            return millimetres(plane)
         if plane.shape[2] not in (1, 3, 4):
-            raise ConfigError(f"{self._key}: found {counted(plane.shape[2], 'component')}, expected 1, 3 or 4")
+            raise ConfigError(f"{key}: found {counted(plane.shape[2], 'component')}, expected 1, 3 or 4")
+        if not self._window and plane.dtype != np.uint8:
+            raise ConfigError(f"{key}: found pixels of {plane.dtype.newbyteorder('=')}, expected uint8, or "
+                              "window = [low, high] in the recipe")  # fmt: skip
+        return plane
+
+    def _eight_bits(self, plane: Array) -> Pixels:
+        """The pixels as an array of their own."""
         if self._window:
             low, high = self._window
             with np.errstate(invalid="ignore"):
                 scaled = np.clip((plane.astype(np.float64) - low) / (high - low), 0, 1)
             plane = np.round(np.nan_to_num(scaled) * 255).astype(np.uint8)
-        elif plane.dtype != np.uint8:
-            raise ConfigError(f"{self._key}: found pixels of {plane.dtype.newbyteorder('=')}, expected uint8, or "
-                              "window = [low, high] in the recipe")  # fmt: skip
         if plane.shape[2] == 1:
             return np.repeat(plane, 3, axis=2)
-        colours = plane[:, :, :3]
-        return np.ascontiguousarray(colours[:, :, ::-1] if is_blue_first else colours)
+        return np.array(plane[:, :, :3], order="C")
+
+
+def _numbered(blocks: Iterable[MessageBlock]) -> Iterator[tuple[tuple[int, int], MessageBlock, int]]:
+    """Yield time and number among those of this time of each message, with its block and row."""
+    last_ns, before = -1, 0
+    for block in blocks:
+        for row, time_ns in enumerate(block.times.tolist()):
+            before = before + 1 if time_ns == last_ns else 0
+            last_ns = time_ns
+            yield (time_ns, before), block, row
+
+
+class _Plain:
+    """Pictures that are not encoded.
+
+    Attributes:
+        can_begin: whether the last message that was read needs none before it.
+    """
+
+    can_begin = True
+
+    def __init__(self, stream: Stream) -> None:
+        self._stream = stream
+
+    def begin(self) -> None:
+        """Forget what was read."""
+
+    def read(self, block: MessageBlock, row: int, *, is_wanted: bool = True) -> Array | None:
+        """Return a picture, or None for a damaged or an empty message.  Raises ConfigError for what is not read."""
+        try:
+            view = self._stream.images_of([block])[row]
+            plane = view.plane
+        except ConfigError:
+            raise
+        except ConversionError as error:  # an encoding that is not read
+            raise ConfigError(f"{self._stream.key}: {error}") from None
+        except GatewayError:
+            return None
+        if not plane.size:
+            return None
+        if pattern := bayer_pattern(view.encoding):
+            return demosaiced(np.ascontiguousarray(plane), pattern)
+        is_blue_first = bool(view.encoding) and pixel_layout(view.encoding)[2]
+        return plane[:, :, 2::-1] if is_blue_first else plane
 
 
 class _Coded:
-    """Encoded pictures, each alone (JPEG, PNG) or with those before it (video)."""
+    """Encoded pictures, each alone (JPEG, PNG) or with those before it (video).
+
+    Attributes:
+        can_begin: whether the last message that was read needs none before it.
+    """
 
     def __init__(self, stream: Stream) -> None:
         self._av = import_av()
         self._type, self._acceptance = stream.type, stream.acceptance
-        self._blocks: list[MessageBlock] = list(stream.blocks())
-        self._ends = np.cumsum([len(block) for block in self._blocks], dtype=np.int64)
         self._codec: Any = None
-        self._next = 0
-        self._last: tuple[int, Array | None] = (-1, None)
+        self._count = 0
+        self.can_begin = False
 
-    def __len__(self) -> int:
-        return int(self._ends[-1]) if len(self._ends) else 0
+    def begin(self) -> None:
+        """Forget what was read: the next picture of a video is a key frame."""
+        self._codec = None
 
-    def read(self, index: int) -> Array | None:
+    def read(self, block: MessageBlock, row: int, *, is_wanted: bool = True) -> Array | None:
         """Return a picture (rows, columns) or (rows, columns, 3), or None if the message gives none.
 
-        Raises ConversionError for a format that is not read.
+        Messages of a video come in their order; one that is not wanted is only decoded if others need it.  Raises
+        ConversionError for a format that is not read.
         """
-        if self._last[0] == index:
-            return self._last[1]
-        codec, data = self._frame(index)
-        picture: Array | None
+        codec, data = self._frame(block, row)
+        is_video = codec in _VIDEO_DECODERS
+        self.can_begin = bool(data) and (not is_video or is_key_frame(codec, data))
         if not data:
-            picture = None
-        elif codec in _VIDEO_DECODERS:
-            if index < self._next:
-                self._codec, self._next = None, 0
-            picture = None
-            for each in range(self._next, index + 1):
-                picture = self._decode_next(each)
-            self._next = index + 1
-        else:
-            picture = self._alone(codec, data)
-        self._last = (index, picture)
-        return picture
+            return None
+        if is_video:
+            picture = self._decoded(codec, data)
+            return _pixels(picture) if is_wanted and picture is not None else None
+        return self._alone(codec, data) if is_wanted else None
 
-    def _frame(self, index: int) -> tuple[str, bytes]:
+    def _frame(self, block: MessageBlock, row: int) -> tuple[str, bytes]:
         """Codec and data of a message; nothing if it is damaged."""
-        block, row = find_row(self._blocks, self._ends, index)
         try:
             payload = block.payload(row)
             if self._type == CompressedImage.TYPE:
@@ -248,23 +324,21 @@ class _Coded:
             return "", b""
         return _FOUR_LETTERS.get(content.codec, content.codec), bytes(content.data)
 
-    def _decode_next(self, index: int) -> Pixels | None:
-        codec, data = self._frame(index)
-        if codec not in _VIDEO_DECODERS or not data:
-            return None
+    def _decoded(self, codec: str, data: bytes) -> Any:
+        """The picture of a frame, which the decoder returns before the next one; None if it does not."""
         if self._codec is None:
-            if not is_key_frame(codec, data):
+            if not self.can_begin:
                 return None
             self._codec = self._open(_VIDEO_DECODERS[codec])
             self._codec.flags |= self._av.codec.context.Flags.low_delay
         packet = self._av.Packet(data)
-        packet.pts = index
+        packet.pts = self._count = self._count + 1
         try:
-            found = [each for each in self._codec.decode(packet) if each.pts == index and not each.is_corrupt]
+            found = [each for each in self._codec.decode(packet) if each.pts == packet.pts and not each.is_corrupt]
         except self._av.FFmpegError:
             self._codec = None  # the frames up to the next key frame have no picture
             return None
-        return _pixels(found[0]) if found else None
+        return found[0] if found else None
 
     def _alone(self, form: str, data: bytes) -> Array | None:
         coding = coding_of(form, data)

@@ -9,9 +9,11 @@ A file without usable index, or whose chunks overlap in time, is read entry by e
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import OrderedDict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import IO, TYPE_CHECKING, Any
 
@@ -125,9 +127,19 @@ class ChunkReader:
         chunks = index.chunks
         self._fit = (
             not index.scanned
-            and all(not chunk.loose for chunk in chunks)
+            and all(not chunk.loose and chunk.start_ns <= chunk.end_ns for chunk in chunks)
             and all(one.end_ns <= two.start_ns for one, two in pairwise(chunks))
         )
+
+    @cached_property
+    def is_usable(self) -> bool:
+        """Whether, by the summary, a message is read without those before it."""
+        return self._fit and all(chunk.places or not chunk.size for chunk in self._index.chunks)
+
+    @cached_property
+    def _spans(self) -> tuple[list[int], list[int]]:
+        """Times of the first and of the last message of each chunk."""
+        return [each.start_ns for each in self._index.chunks], [each.end_ns for each in self._index.chunks]
 
     def blocks(
         self, channels: Collection[int], start_ns: int, end_ns: int, *, whole: bool, is_wire: bool
@@ -140,16 +152,12 @@ class ChunkReader:
 
         Raises Unusable before the first block, or Malformed, LimitExceeded, UnsupportedRecording (a time after 2262).
         """
-        if not self._fit:
+        if not self.is_usable:
             raise Unusable
         wanted = set(channels)
-        chunks = [
-            chunk
-            for chunk in self._index.chunks
-            if chunk.end_ns >= start_ns and chunk.start_ns < end_ns and not wanted.isdisjoint(chunk.channels)
-        ]
-        if any(not chunk.places and chunk.size for chunk in self._index.chunks):
-            raise Unusable
+        starts, ends = self._spans
+        near = slice(bisect_left(ends, start_ns), bisect_left(starts, end_ns))
+        chunks = [chunk for chunk in self._index.chunks[near] if not wanted.isdisjoint(chunk.channels)]
         check_work(self._index.size, work_of(chunks), self._path)
         places = [self._places(chunk, wanted)[1] for chunk in chunks]
         count = 0
@@ -166,6 +174,11 @@ class ChunkReader:
         expected = sum(self._index.counts.get(number, 0) for number in wanted)
         if whole and count != expected:
             raise Malformed(f"found {count_text(count, 'message')} by the indexes of the chunks, expected {expected}")
+
+    def forget(self) -> None:
+        """Free the unpacked chunks that are kept."""
+        self._kept.clear()
+        self._size = 0
 
     def span(self, channels: Collection[int]) -> tuple[int, int]:
         """Times of the first and the last message of some MCAP channels; reads no message.  Raises as `blocks`."""

@@ -351,6 +351,10 @@ class SessionFile:
                 first, last = first or int(block.times[0]), int(block.times[-1])
             return first, last
 
+    def forget_chunks(self) -> None:
+        """Free the unpacked chunks that `blocks` keeps."""
+        self._chunks.forget()
+
     def _numbers_of(self, channel: ChannelSummary) -> list[int]:
         """The MCAP channels of one of ``channels``: those of rosbag2 may have several of a topic."""
         stream = channel.kind, channel.stream, channel.entry_type
@@ -445,6 +449,11 @@ class SessionFile:
         Raises DamagedRecording, LimitExceeded.
         """
         return self._metadata(layout.FIGURES_METADATA)
+
+    @property
+    def is_indexed(self) -> bool:
+        """Whether `blocks` reads a message by its time, without those before it."""
+        return self.format_version in layout.PRESENT_VERSIONS and self._chunks.is_usable
 
     @property
     def is_sealed(self) -> bool:
@@ -710,6 +719,7 @@ class SessionParts(SessionFile):
         self.definitions, self._definitions = {}, FileDefinitions()
         self.entry_count = self.start_ns = self.end_ns = self._most_bytes = 0
         self._is_sealed = self._has_digests = False
+        self._is_indexed = True
         shared: dict[str, str] = {}  # session metadata of all parts
         own = (layout.PART_KEY, layout.PREVIOUS_KEY)
         for path in sorted(part_files(folder), key=Path.is_symlink):
@@ -747,6 +757,7 @@ class SessionParts(SessionFile):
                 self.entry_count += part.entry_count
                 self._most_bytes += part.most_bytes
                 self._is_sealed = self._is_sealed or part.is_sealed
+                self._is_indexed = self._is_indexed and part.is_indexed
                 self._has_digests = self._has_digests or part.has_digests
         if not found:
             raise UnsupportedRecording(f"{folder}: found a directory, expected the .mcap file in it")
@@ -882,6 +893,14 @@ class SessionParts(SessionFile):
     def keep_missing(self) -> set[int]:
         """Nothing: a part is open only while it is read."""
         return set()
+
+    def forget_chunks(self) -> None:
+        """Nothing to free: a part is open only while it is read."""
+
+    @property
+    def is_indexed(self) -> bool:
+        """As SessionFile.is_indexed, of all parts."""
+        return self._is_indexed
 
     @property
     def is_sealed(self) -> bool:

@@ -92,6 +92,15 @@ class SessionWithState(SessionFile):
         files = (self.before, self.itself)
         return chain.from_iterable([file.columns(start_ns, end_ns, wanted, computed=computed) for file in files])
 
+    def forget_chunks(self) -> None:
+        """As SessionFile.forget_chunks."""
+        self.itself.forget_chunks()
+
+    @property
+    def is_indexed(self) -> bool:
+        """As SessionFile.is_indexed; what is from before is small."""
+        return self.itself.is_indexed
+
     def times(self) -> Iterator[tuple[Mapping[int, Stream], Numbers, Numbers]]:
         """As SessionFile.times."""
         return chain(self.before.times(), self.itself.times())

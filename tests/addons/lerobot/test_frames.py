@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -51,12 +52,19 @@ next_of = "observation.state"
 
 
 def plan_of(tmp_path: Path, messages: list[Sent], text: str, *, stamped: bool = True) -> Plan:
+    with plan_of_open(tmp_path, messages, text, stamped=stamped) as plan:
+        return plan
+
+
+@contextmanager
+def plan_of_open(tmp_path: Path, messages: list[Sent], text: str, *, stamped: bool = True) -> Iterator[Plan]:
+    """The plan, whose recording is open: pictures are read when they are used."""
     path, recipe = tmp_path / "s.mcap", tmp_path / "r.toml"
     if not path.exists():
         write_session(path, messages, stamped=stamped)
     recipe.write_text(text, "utf-8")
     with igtl_gateway.open(path) as recording:
-        return build(recording, read_recipe(recipe))
+        yield build(recording, read_recipe(recipe))
 
 
 def arms(*spans: tuple[float, float], step: float = 0.02) -> list[Sent]:
@@ -230,11 +238,11 @@ def test_a_window_makes_eight_bits_of_sixteen(tmp_path: Path) -> None:
     images: list[Sent] = [(0.1 * n, "IMAGE/Deep", Image((8, 8, 1), 5, deep.tobytes())) for n in range(11)]
     row = '[[feature]]\nname = "observation.images.deep"\nstream = "IMAGE/Deep"\nwindow = [1000, 3000]'
     messages = sorted([*arms((0, 1)), *images], key=lambda each: each[0])
-    plan = plan_of(tmp_path, messages, recipe_text(more=row))
-    samples = plan.samples[1]
-    assert samples is not None and samples.pictures is not None
-    expected = np.round(np.clip((deep - 1000.0) / 2000, 0, 1) * 255)
-    assert np.array_equal(samples.pictures.rgb(0)[:, :, 1], expected)
+    with plan_of_open(tmp_path, messages, recipe_text(more=row)) as plan:
+        samples = plan.samples[1]
+        assert samples is not None and samples.pictures is not None
+        expected = np.round(np.clip((deep - 1000.0) / 2000, 0, 1) * 255)
+        assert np.array_equal(samples.pictures.rgb(0)[:, :, 1], expected)
 
 
 def test_a_stamp_of_another_century_makes_no_frames(tmp_path: Path) -> None:

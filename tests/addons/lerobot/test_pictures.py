@@ -12,14 +12,16 @@ import pytest
 
 import igtl_gateway
 from igtl_gateway.addons.lerobot.drafting import _window as drafted_window
-from igtl_gateway.addons.lerobot.pictures import Pictures
-from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.addons.lerobot.pictures import PictureReader, Pictures
+from igtl_gateway.base.errors import ConfigError, GatewayError
 from igtl_gateway.convert.common_msgs import CompressedImage
 from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.video import Video
 from tests.addons.lerobot.sessions import Sent, bars, number_of, write_session
 from tests.picture_encodings import FORMS
+from tests.tables import table
 
 
 def encoded(codec: str, numbers: range, **options: str) -> list[bytes]:
@@ -69,6 +71,28 @@ def test_encoded_pictures(stream: str, contents: list[Any], first: int, tmp_path
         assert usable[0] == first and len(usable) >= len(contents) - max(first, 1)
         for index in (usable[-1], usable[0], usable[len(usable) // 2]):  # also backwards
             assert number_of(pictures.rgb(index)) == index + start
+
+
+@table("is_indexed", [True, False])
+def test_pictures_of_a_video_in_any_order_are_those_in_order(
+    is_indexed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(SessionFile, "is_indexed", is_indexed)
+    data = h264()
+    messages: list[Sent] = [(0.03 * n, "VIDEO/Camera", Video("H264", (64, 48, 1), each)) for n, each in enumerate(data)]
+    with igtl_gateway.open(write_session(tmp_path / "s.mcap", messages)) as recording:
+        pictures, again = Pictures(recording["VIDEO/Camera"]), PictureReader(recording["VIDEO/Camera"])
+        in_order = {index: pictures.rgb(index) for index in pictures.usable.tolist()}
+        for index in np.random.default_rng(1).permutation(pictures.usable).tolist() * 2:
+            begin_ns, time_ns, before = pictures.places[index].tolist()
+            assert np.array_equal(again.rgb((begin_ns, time_ns, before)), in_order[index]), index
+        begins = pictures.places[:, 0]
+        assert len(set(begins.tolist())) == len(data) // 5  # a key frame at every fifth one
+        # from a frame that is none, decoding begins again at the first message
+        place = (int(pictures.places[7, 1]), *pictures.places[8, 1:].tolist())
+        assert begins[8] < place[0] and np.array_equal(again.rgb(place), in_order[8])  # type: ignore[arg-type]
+        with pytest.raises(GatewayError, match="found no picture in the message at 5 ns"):
+            again.rgb((5, 5, 0))
 
 
 @pytest.mark.parametrize("pixels", [np.arange(48).reshape(4, 4, 3), np.arange(64).reshape(4, 4, 4)])

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import igtl_gateway
 from igtl_gateway.base.errors import DamagedRecording
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile import records
@@ -87,10 +88,13 @@ def with_writer(path: Path, given: list[Entry], chunk_bytes: int) -> None:
 def test_a_file_without_index_is_read_entry_by_entry(tmp_path: Path) -> None:
     with_writer(tmp_path / "a.mcap", entries(), chunk_bytes=4096)
     with SessionFile.open(tmp_path / "a.mcap") as file:
+        assert file.is_indexed
+    with SessionFile.open(tmp_path / "a.mcap") as file:
         for chunk in file._index.chunks:
             file._index.chunks[file._index.chunks.index(chunk)] = replace(chunk, places=b"")
         expected = [(each.seq, each.stamp_ns, each.source_ns, each.data()) for each in entries()]
         assert rows_of_blocks(file, (Kind.IGTL_OUT, "STRING/A", "STRING")) == expected
+        assert not file.is_indexed
 
 
 @pytest.mark.parametrize("shift", [0, 3, 8, 15, 20])
@@ -136,3 +140,19 @@ def test_each_channel_is_found_by_its_own_index(name: str) -> None:
             first, last = file._chunks.span([number])
             times = np.concatenate([block.times for block in blocks])
             assert (first, last) == (int(times.min()), int(times.max()))
+
+
+def test_each_message_is_read_by_its_time_and_chunks_are_forgotten() -> None:
+    with igtl_gateway.open("fixtures/star.mcap") as recording:
+        stream = recording["/star/camera/image"]
+        every = [
+            (block.times[row], bytes(block.payload(row))) for block in stream.blocks() for row in range(len(block))
+        ]
+        for time_ns, payload in every[::-1]:
+            (block,) = stream.blocks_between(int(time_ns), int(time_ns) + 1)
+            assert (block.times.tolist(), bytes(block.payload(0))) == ([time_ns], payload)
+        assert list(stream.blocks_between(int(every[0][0]) + 1, int(every[1][0]))) == []
+        reader = recording._source.file._chunks
+        assert reader._kept and reader._size
+        recording.forget_chunks()
+        assert not reader._kept and not reader._size
