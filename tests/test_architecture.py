@@ -152,6 +152,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "pyigtl": ("lab.bench.pyigtl_side",),  # a peer of another project
     "mcap": ("addons.exchange", "addons.merge.writer", "record.sessionfile"),
     "obstore": ("addons.cohort.objects",),
+    "torch": ("addons.lerobot.torch_set",),
     "nibabel": ("addons.exchange.nifti", "lab.simulate.volume"),
     "matplotlib": ("lab.bench.plot", "addons.sync.plot"),
     "pandas": ("api",),

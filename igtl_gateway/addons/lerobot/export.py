@@ -62,11 +62,13 @@ class Exported:
     files: int
 
 
-def here(jobs: Sequence[Job]) -> Iterator[tuple[int, Reply]]:
-    """Do jobs in this process."""
+def here(
+    jobs: Sequence[Job], run: Callable[[Mapping[str, Any]], Mapping[str, Any]] = run_job
+) -> Iterator[tuple[int, Reply]]:
+    """Do jobs in this process, one after the other; ``run`` does one, and returns its reply."""
     for number, job in enumerate(jobs):
         try:
-            yield number, Reply(run_job(job.to_dict()))
+            yield number, Reply(run(job.to_dict()))
         except OSError as error:
             # a part that cannot be written is a matter of the set, a recording that cannot be read one of the session
             text = str(error.strerror or error).removeprefix(f"{job.path}: ")

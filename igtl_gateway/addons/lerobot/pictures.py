@@ -284,12 +284,12 @@ class _Coded:
         self._av = import_av()
         self._type, self._acceptance = stream.type, stream.acceptance
         self._codec: Any = None
+        self._has_begun = self.can_begin = False
         self._count = 0
-        self.can_begin = False
 
     def begin(self) -> None:
         """Forget what was read: the next picture of a video is a key frame."""
-        self._codec = None
+        self._has_begun = False
 
     def read(self, block: MessageBlock, row: int, *, is_wanted: bool = True) -> Array | None:
         """Return a picture (rows, columns) or (rows, columns, 3), or None if the message gives none.
@@ -326,17 +326,16 @@ class _Coded:
 
     def _decoded(self, codec: str, data: bytes) -> Any:
         """The picture of a frame, which the decoder returns before the next one; None if it does not."""
-        if self._codec is None:
+        if not self._has_begun:
             if not self.can_begin:
                 return None
-            self._codec = self._open(_VIDEO_DECODERS[codec])
-            self._codec.flags |= self._av.codec.context.Flags.low_delay
+            self._open(_VIDEO_DECODERS[codec])
         packet = self._av.Packet(data)
         packet.pts = self._count = self._count + 1
         try:
             found = [each for each in self._codec.decode(packet) if each.pts == packet.pts and not each.is_corrupt]
         except self._av.FFmpegError:
-            self._codec = None  # the frames up to the next key frame have no picture
+            self._codec, self._has_begun = None, False  # the frames up to the next key frame have no picture
             return None
         return found[0] if found else None
 
@@ -350,11 +349,16 @@ class _Coded:
             return None  # damaged
         return depths(pixels, coding) if coding.depth else pixels
 
-    def _open(self, name: str) -> Any:
-        codec = self._av.CodecContext.create(name, "r")
-        codec.options = {"max_pixels": str(MAX_PIXELS), "err_detect": "explode"}
-        codec.thread_count = 1
-        return codec
+    def _open(self, name: str) -> None:
+        """Make a decoder ready for a key frame."""
+        self._has_begun = True
+        if self._codec is not None and self._codec.name == name:
+            self._codec.flush_buffers()
+            return
+        self._codec = self._av.CodecContext.create(name, "r")
+        self._codec.options = {"max_pixels": str(MAX_PIXELS), "err_detect": "explode"}
+        self._codec.thread_count = 1
+        self._codec.flags |= self._av.codec.context.Flags.low_delay
 
 
 def _form(image: CompressedImage) -> str:

@@ -1,0 +1,73 @@
+"""The recordings that a process has open for the pictures of a data set, within bounds.
+
+Each process has its own: an open file has one position, so two processes that share it read each other's bytes.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import OrderedDict
+from collections.abc import Sequence
+from threading import Lock
+
+from igtl_gateway.addon.reading import Recording, open_recording
+from igtl_gateway.addons.lerobot.pictures import PictureReader, Pixels, Place
+from igtl_gateway.addons.lerobot.recorded_sessions import KnownRecording, PictureSource
+
+#: Recordings that are open at a time.
+MOST_OPEN = 32
+
+
+class OpenRecordings:
+    """Opens recordings when they are used.
+
+    At most ``MOST_OPEN`` are open.  Unpacked chunks (64 MiB) and decoders are kept of the last one that was used.
+
+    Args:
+        recordings: of the data set.
+        inherited: what the parent of this process has open; it is kept and not used.
+    """
+
+    def __init__(self, recordings: Sequence[KnownRecording], inherited: OpenRecordings | None = None) -> None:
+        self.pid = os.getpid()
+        self._recordings, self._inherited, self._lock = recordings, inherited, Lock()
+        self._checked: set[int] = set()
+        self._open: OrderedDict[int, tuple[Recording, dict[PictureSource, PictureReader]]] = OrderedDict()
+
+    def check(self, number: int) -> None:
+        """Check a recording at its first use in this process.  Raises GatewayError if it has changed."""
+        if number not in self._checked:
+            self._recordings[number].check()
+            self._checked.add(number)
+
+    def picture(self, number: int, source: PictureSource, place: Place) -> Pixels:
+        """Return a picture of a recording (rows, columns, 3).  Raises GatewayError."""
+        with self._lock:
+            recording, readers = self._use(number)
+            if source not in readers:
+                readers[source] = PictureReader(recording[source.stream], source.window)
+            return readers[source].rgb(place)
+
+    def _use(self, number: int) -> tuple[Recording, dict[PictureSource, PictureReader]]:
+        last = next(reversed(self._open), number)
+        if number in self._open and last == number:
+            return self._open[number]
+        if last != number:
+            recording, readers = self._open[last]
+            recording.forget_chunks()
+            readers.clear()
+        if number in self._open:
+            self._open.move_to_end(number)
+            return self._open[number]
+        if len(self._open) >= MOST_OPEN:
+            self._open.popitem(last=False)[1][0].close()
+        known = self._recordings[number]
+        known.check()
+        self._open[number] = open_recording(known.path), {}
+        return self._open[number]
+
+    def close(self) -> None:
+        """Close all of them."""
+        with self._lock:
+            while self._open:
+                self._open.popitem()[1][0].close()

@@ -1,0 +1,51 @@
+"""The samples of a data set as PyTorch's tensors.  Only this module imports torch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+
+
+class Recorded(Protocol):
+    """What it needs of a ``RecordedSet``."""
+
+    features: dict[str, Any]
+
+    def __len__(self) -> int: ...
+    def __getitem__(self, index: int, /) -> dict[str, Any]: ...
+
+
+class TorchSet(torch.utils.data.Dataset):  # type: ignore[misc,name-defined,type-arg,unused-ignore]
+    """A data set for ``torch.utils.data.DataLoader``, with any number of workers; ``RecordedSet.to_torch`` makes it.
+
+    Numbers are tensors with the types of the torch-free samples, pictures (3, rows, columns) float32 from 0 to 1, or
+    uint8, texts strings.
+
+    Attributes:
+        recorded: the torch-free data set, with ``fps``, ``features``, ``stats``, ``episodes``, ``tasks``, ``splits``.
+    """
+
+    def __init__(self, recorded: Recorded, image_transforms: Callable[[Any], Any] | None, return_uint8: bool) -> None:
+        self.recorded = recorded
+        self._transforms, self._is_uint8 = image_transforms, return_uint8
+
+    def __len__(self) -> int:
+        return len(self.recorded)
+
+    def __getitem__(self, index: int | slice) -> Any:
+        if isinstance(index, slice):
+            return [self[each] for each in range(*index.indices(len(self)))]
+        return {name: self._tensor(name, value) for name, value in self.recorded[index].items()}
+
+    def _tensor(self, name: str, value: Any) -> Any:
+        if isinstance(value, str | list):
+            return value
+        found = torch.from_numpy(np.asarray(value))
+        if self.recorded.features.get(name, {}).get("dtype") != "video":
+            return found
+        found = found.movedim(-1, -3).contiguous()
+        found = found if self._is_uint8 else found.to(torch.float32) / 255
+        return self._transforms(found) if self._transforms else found
