@@ -59,6 +59,8 @@ _ALL_KINDS = frozenset(Kind)
 #: What stands for inputs that are not wanted.
 _UNWANTED = {kind: Entry(0, 0, kind) for kind in Kind if kind.is_input}
 _UNREAD = _UNWANTED[Kind.EDGE_NOTE]
+#: Parts of a split recording that stay open.
+_PARTS_OPEN = 4
 #: After all times: of :meth:`SessionFile.blocks`.
 _END_NS = (1 << 63) - 1
 
@@ -709,7 +711,10 @@ def prologue_of(attachment: Attachment, path: Path) -> list[Entry]:
 
 
 class SessionParts(SessionFile):
-    """The parts of a split recording as one session; see :meth:`SessionFile.open`.  One part is open at a time."""
+    """The parts of a split recording as one session; see :meth:`SessionFile.open`.
+
+    A part is open while it is read; the last ones whose blocks were read stay open for the next ones.
+    """
 
     def __init__(self, folder: Path, *, incomplete: bool) -> None:
         self.path = folder
@@ -784,9 +789,33 @@ class SessionParts(SessionFile):
             self.start_ns, self.end_ns = full[0].start_ns, full[-1].end_ns
         self.foreign = False
         self.channels, self.skipped = joined(channels), tuple(skipped)
+        self._kept: list[SessionFile] = []
+        self._most_kept = _PARTS_OPEN
 
     def close(self) -> None:
-        """Nothing to close: a part is open only while it is read."""
+        """Close the parts that are open."""
+        self._most_kept = 0
+        self._close_parts()
+
+    def _close_parts(self) -> None:
+        while len(self._kept) > self._most_kept:
+            self._kept.pop(0).close()
+
+    @contextmanager
+    def _part(self, path: Path) -> Iterator[SessionFile]:
+        """A part: one that is open and not being read, or else opened."""
+        part = next((each for each in self._kept if each.path == path), None)
+        if part is None:
+            part = SessionFile.open(path)
+        else:
+            self._kept.remove(part)
+        try:
+            yield part
+        finally:
+            for each in self._kept:
+                each.forget_chunks()
+            self._kept.append(part)
+            self._close_parts()
 
     def entries(self, *, computed: bool = True) -> Iterator[Entry]:
         """All entries of all parts; as SessionFile.entries."""
@@ -808,7 +837,7 @@ class SessionParts(SessionFile):
         """As SessionFile.blocks; parts outside of the times are not opened."""
         for each in self.parts:
             if each.entries and each.end_ns >= start_ns and each.start_ns < end_ns:
-                with SessionFile.open(each.path) as part:
+                with self._part(each.path) as part:
                     yield from part.blocks(channel, start_ns, end_ns)
 
     def columns(
@@ -895,7 +924,9 @@ class SessionParts(SessionFile):
         return set()
 
     def forget_chunks(self) -> None:
-        """Nothing to free: a part is open only while it is read."""
+        """As SessionFile.forget_chunks, of the parts that are open."""
+        for each in self._kept:
+            each.forget_chunks()
 
     @property
     def is_indexed(self) -> bool:

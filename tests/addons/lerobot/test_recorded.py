@@ -23,6 +23,7 @@ from igtl_gateway.base.errors import ConfigError, GatewayError, Unavailable
 from igtl_gateway.convert.common_msgs import JointState
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.text import String
 from tests.addons.lerobot.sessions import Sent, arm, bars, number_of, write_session
@@ -280,6 +281,25 @@ def test_a_recording_that_has_changed_is_one_error(study: Path, tmp_path: Path) 
     samples.close()
     with pytest.raises(GatewayError, match="No such file"):
         samples[0]
+
+
+def test_a_split_recording_is_one(study: Path, tmp_path: Path) -> None:
+    with SessionFile.open(study / "P01.mcap") as file:
+        entries, facts = list(file.entries()), file.recorded_session
+    (tmp_path / "long").mkdir()
+    for number in range(6):
+        before = {"previous_part": f"long_{number - 1}.mcap"} if number else {}
+        writer = SessionWriter(tmp_path / "long" / f"long_{number}.mcap", facts | {"part": str(number)} | before)
+        for entry in entries[len(entries) * number // 6 : len(entries) * (number + 1) // 6]:
+            writer.write(entry)
+        writer.close({})
+    (tmp_path / "P02.mcap").write_bytes((study / "P02.mcap").read_bytes())
+    samples, whole = dataset(tmp_path, recipe_in(tmp_path)), dataset(study / "P01.mcap", recipe_in(tmp_path))
+    assert [each.session for each in samples.episodes] == ["long", "long", "P02.mcap", "P02.mcap"]
+    for number in np.random.default_rng(1).permutation(len(whole)).tolist():
+        assert is_equal(samples[number], whole[number])
+    samples.close()
+    whole.close()
 
 
 def test_a_recording_without_an_index_is_refused(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
