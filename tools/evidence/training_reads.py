@@ -4,19 +4,20 @@
 
 A session for each form of its pictures (640 × 480, 30 Hz) with a pose at 100 Hz, written as the recorder does.  The
 exported set (v3.0, 30 frames a second) is read by a plain program: its table is in memory, its video stays open, and
-PyAV seeks the key frame before each frame, as LeRobot does (``--gop`` as recorded; the set has one at every second
-frame).  Both give RGB of 8 bits.  A round reads the same frames from both; the table has medians of the rounds.
+PyAV seeks the key frame before each frame, as LeRobot does; the set has one at every second frame.  Both give RGB of 8
+bits.  With ``--lerobot``, in an environment with LeRobot, its loader and ``to_torch`` are compared instead: both give
+tensors of float32.  A round reads the same frames from both; the table has medians of the rounds.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import resource
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
+from importlib import import_module
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -162,10 +163,18 @@ def timed(read: Callable[[int], Any], frames: Sequence[int]) -> tuple[float, flo
     return (time.perf_counter() - begun) / len(frames), (time.process_time() - cpu) / len(frames)
 
 
-def measure(folder: Path, form: str, seconds: int, rounds: int, count: int) -> Iterator[str]:
-    """Yield the row of a form."""
+def lerobot_reader(root: Path) -> Callable[[int], Any]:
+    """Return what reads a sample by LeRobot's own loader, with PyAV."""
+    import_module("torch").set_num_threads(1)  # as in the workers of its DataLoader
+    found = import_module("lerobot.datasets.lerobot_dataset").LeRobotDataset("a/b", root=root, video_backend="pyav")
+    read: Callable[[int], Any] = found.__getitem__
+    return read
+
+
+def measure(folder: Path, form: str, options: argparse.Namespace) -> str:
+    """Return the row of a form."""
     path, recipe = folder / "s.mcap", folder / "recipe.toml"
-    write(path, form, seconds)
+    write(path, form, options.seconds)
     recipe.write_text(RECIPE.format(stream=STREAMS[form]), "utf-8")
     export_cpu = time.process_time()
     export_sessions([path], recipe, folder / "set")
@@ -174,11 +183,13 @@ def measure(folder: Path, form: str, seconds: int, rounds: int, count: int) -> I
     samples = dataset(path, recipe)
     open_cpu = time.process_time() - open_cpu
     plain, chance = PlainSet(folder / "set"), np.random.default_rng(1)
+    read = lerobot_reader(folder / "set") if options.lerobot else plain.read
+    own_read = samples.to_torch().__getitem__ if options.lerobot else samples.__getitem__
     ours, theirs = [], []
-    for _ in range(rounds):
-        frames = chance.integers(0, len(samples), count).tolist()
-        ours.append(timed(samples.__getitem__, frames))
-        theirs.append(timed(plain.read, frames))
+    for _ in range(options.rounds):
+        frames = chance.integers(0, len(samples), options.samples).tolist()
+        ours.append(timed(own_read, frames))
+        theirs.append(timed(read, frames))
     for frame in chance.integers(0, len(samples), 5).tolist():
         state, picture = plain.read(frame)
         assert np.array_equal(state, samples[frame]["observation.state"])
@@ -186,7 +197,7 @@ def measure(folder: Path, form: str, seconds: int, rounds: int, count: int) -> I
     size = sum(each.stat().st_size for each in (folder / "set").rglob("*") if each.is_file())
     ratios = [median(two[at] / one[at] for one, two in zip(ours, theirs, strict=True)) for at in (0, 1)]
     own, other = (median(cpu for _, cpu in each) * 1e3 for each in (ours, theirs))
-    yield (
+    return (
         f"| {form} | {own:.2f} | {other:.2f} | {ratios[1]:.2f} | {ratios[0]:.2f} | {open_cpu:.1f} | {export_cpu:.1f} "
         f"| {path.stat().st_size / 1e6:.0f} | {size / 1e6:.0f} |"
     )
@@ -198,6 +209,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=int, default=20, help="of each session")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--samples", type=int, default=300, help="of each round")
+    parser.add_argument("--lerobot", action="store_true", help="beside LeRobot's own loader")
     parser.add_argument("--forms", nargs="+", choices=STREAMS, default=list(STREAMS))
     options = parser.parse_args()
     print("| pictures | recording, ms of CPU | set, ms of CPU | set / recording, CPU | the same, time "
@@ -205,9 +217,7 @@ def main() -> None:
     print("|---|---:|---:|---:|---:|---:|---:|---:|---:|")
     for form in options.forms:
         with tempfile.TemporaryDirectory() as folder:
-            for row in measure(Path(folder), form, options.seconds, options.rounds, options.samples):
-                print(row, flush=True)
-    print(f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3:,.0f} MB at most")
+            print(measure(Path(folder), form, options), flush=True)
 
 
 if __name__ == "__main__":

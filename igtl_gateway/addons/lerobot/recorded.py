@@ -82,7 +82,7 @@ def dataset(
 
     Examples:
         >>> from igtl_gateway.addons.lerobot import dataset
-        >>> samples = dataset("sessions", "recipe.toml", split="train")
+        >>> samples = dataset("sessions", recipe, split="train")
         >>> samples[0]["observation.state"].dtype
         dtype('float32')
     """
@@ -100,7 +100,7 @@ class RecordedSet(Sequence[Sample]):
     A sample has a key for each feature, with LeRobot's names:
 
     * ``observation.images.…``: (rows, columns, 3) uint8, the recorded pixels as RGB; rows and columns are even;
-    * numbers: (K,) float32, or one float32; texts: strings;
+    * numbers: (K,) float32, or one float32; stamps are int64; strings;
     * ``timestamp``: float32, s from the start of the episode; ``frame_index``, ``episode_index``, ``index``,
       ``task_index``: int64; ``task``: a string.
 

@@ -1,4 +1,4 @@
-"""What recordings give to a data set that is not written: numbers and texts of all frames, and where the pictures are.
+"""What recordings give to a data set that is not written: numbers and strings of all frames, and places of pictures.
 
 It is what ``export`` writes, by the same plan.  Everything here is plain arrays, which go to other processes.
 """
@@ -69,7 +69,7 @@ class SessionColumns:
     """The frames of a session.
 
     Attributes:
-        columns: feature → (frames, K) float32, or (frames,) strings; then those that every data set has, numbered from 0.
+        columns: feature → (frames, K) numbers, or (frames,) strings; those that every data set has are numbered from 0.
         places: feature of pictures → (frames, 3) int64, a ``Place`` each.
         sources: feature of pictures → its source.
         names: row of the recipe → names of its numbers in this order.

@@ -22,7 +22,7 @@ class TorchSet(torch.utils.data.Dataset):  # type: ignore[misc,name-defined,type
     """A data set for ``torch.utils.data.DataLoader``, with any number of workers; ``RecordedSet.to_torch`` makes it.
 
     Numbers are tensors with the types of the torch-free samples, pictures (3, rows, columns) float32 from 0 to 1, or
-    uint8, texts strings.
+    uint8; strings stay.
 
     Attributes:
         recorded: the torch-free data set, with ``fps``, ``features``, ``stats``, ``episodes``, ``tasks``, ``splits``.
@@ -46,6 +46,9 @@ class TorchSet(torch.utils.data.Dataset):  # type: ignore[misc,name-defined,type
         found = torch.from_numpy(np.asarray(value))
         if self.recorded.features.get(name, {}).get("dtype") != "video":
             return found
-        found = found.movedim(-1, -3).contiguous()
-        found = found if self._is_uint8 else found.to(torch.float32) / 255
+        found = found.movedim(-1, -3)
+        if self._is_uint8:
+            found = found.contiguous()
+        else:
+            found = found.to(torch.float32, memory_format=torch.contiguous_format).div_(255)
         return self._transforms(found) if self._transforms else found

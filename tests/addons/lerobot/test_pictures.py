@@ -88,7 +88,7 @@ def test_pictures_of_a_video_in_any_order_are_those_in_order(
             assert np.array_equal(again.rgb((begin_ns, time_ns, before)), in_order[index]), index
         begins = pictures.places[:, 0]
         assert len(set(begins.tolist())) == len(data) // 5  # a key frame at every fifth one
-        # from a frame that is none, decoding begins again at the first message
+        # from another frame than a key frame, decoding begins again at the first message
         place = (int(pictures.places[7, 1]), *pictures.places[8, 1:].tolist())
         assert begins[8] < place[0] and np.array_equal(again.rgb(place), in_order[8])
         with pytest.raises(GatewayError, match="found no picture in the message at 5 ns"):

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import pickle
 import re
+import shutil
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -39,6 +40,7 @@ fps = 10
 task = "sew"
 format = "v3.0"
 measure_lags = false
+stamps = true
 [[feature]]
 name = "observation.state"
 stream = "TRANSFORM/ArmToBase"
@@ -92,7 +94,7 @@ def joints(at: float, *names: str) -> Callable[[int], JointState]:
 
 
 def messages(first: float, names: tuple[str, ...] = ("yaw", "pitch"), columns: int = 64) -> list[Sent]:
-    """A second of an arm, joints, a text and pictures, with a gap in the arm, so two episodes."""
+    """A second of an arm, joints, a string and pictures, with a gap in the arm, so two episodes."""
     found: list[Sent] = [(first, "STRING/Step", String(f"step {first:.0f}".encode()))]
     for number in range(50):
         at = first + 0.02 * number
@@ -138,7 +140,7 @@ def is_equal(one: Any, two: Any) -> bool:
 
 
 def check_numbers(samples: RecordedSet, root: Path) -> None:
-    """Compare numbers, texts and metadata with those of an exported set."""
+    """Compare numbers, strings and metadata with those of an exported set."""
     info = json.loads((root / "meta" / "info.json").read_text("utf-8"))
     assert samples.features == info["features"]
     assert (samples.fps, samples.splits) == (info["fps"], info["splits"])
@@ -184,6 +186,18 @@ def test_a_folder_has_the_numbers_of_the_exported_set(samples: RecordedSet, stud
         assert sample["observation.joints"].tolist() == pytest.approx([first + at + 3, first + at + 5])  # yaw, pitch
         assert number_of(sample[VIEW]) == first + int(10 * at + 0.01)  # the nearest one
         assert sample["observation.meta.step"] == f"step {first}"
+
+
+def test_the_example_of_the_document(study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (code,) = re.findall(r"```python\n([^`]*)```", (ROOT / "docs" / "how-to" / "lerobot.md").read_text("utf-8"))
+    shutil.copytree(study, tmp_path / "sessions")
+    recipe_in(tmp_path, RECIPE + SPLITS)
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(compile(code, "lerobot.md", "exec"), names)
+    assert names["sample"]["observation.state"].shape == (7,) and names["sample"][VIEW].shape == (48, 64, 3)
+    assert {each.split for each in names["samples"].episodes} == {"train"}
+    names["samples"].close()
 
 
 def test_places_in_a_data_set(samples: RecordedSet, study: Path) -> None:
