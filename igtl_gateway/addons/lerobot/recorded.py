@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from igtl_gateway.addon import ConfigError, Unavailable, one_of
 from igtl_gateway.addon.terminal import count_text
+from igtl_gateway.addons.lerobot.depth import depth_of, has_codes, no_stats
 from igtl_gateway.addons.lerobot.pictures import Pixels
 from igtl_gateway.addons.lerobot.recorded_open import OpenRecordings
 from igtl_gateway.addons.lerobot.recorded_sessions import ReadSessions, read_sessions, recordings_in
@@ -99,7 +100,8 @@ class RecordedSet(Sequence[Sample]):
 
     A sample has a key for each feature, with LeRobot's names:
 
-    * ``observation.images.…``: (rows, columns, 3) uint8, the recorded pixels as RGB; rows and columns are even;
+    * ``observation.images.…``: (rows, columns, 3) uint8, the recorded pixels as RGB, with even rows and columns; of
+      depth (rows, columns, 1) float32, mm in the steps of the recipe;
     * numbers: (K,) float32, or one float32; stamps are int64; strings;
     * ``timestamp``: float32, s from the start of the episode; ``frame_index``, ``episode_index``, ``index``,
       ``task_index``: int64; ``task``: a string.
@@ -115,6 +117,7 @@ class RecordedSet(Sequence[Sample]):
         fps: frames per second.
         robot_type: of the recipe.
         features: name → type, shape and names, as in info.json.
+        camera_keys, depth_keys: features of pictures, and those of them that are depth.
         tasks: in the order of their numbers.
         splits: name → ranges of episodes, as in info.json.
         episodes: those of the split.
@@ -133,6 +136,8 @@ class RecordedSet(Sequence[Sample]):
         self._sources = [each.sources for each in found.columns]
         self._ends = np.cumsum([each.frames for each in found.sessions], dtype=np.int64)
         self._all = _episodes(found)
+        self.camera_keys = list(self._sources[0])
+        self.depth_keys = [name for name in self.camera_keys if has_codes(self.features[name])]
         self._starts = np.array([each.dataset_from_index for each in self._all], np.int64)
         self._places = {
             name: np.concatenate([each.places[name] for each in found.columns]) for name in self._sources[0]
@@ -214,9 +219,10 @@ class RecordedSet(Sequence[Sample]):
         return found
 
     def _pictures(self, number: int, name: str, frame: int, episode: SetEpisode) -> Array:
-        if name not in self._offsets:
-            return self._picture(number, name, frame)
-        found = [self._picture(number, name, each) for each in self._around(name, frame, episode).tolist()]
+        frames = self._around(name, frame, episode).tolist() if name in self._offsets else [frame]
+        found = [self._picture(number, name, each) for each in frames]
+        if depth_mm := self._sources[number][name].depth_mm:
+            found = [depth_of(each, depth_mm).astype(np.float32) for each in found]
         return found[0] if len(found) == 1 else np.stack(found)
 
     def _picture(self, number: int, name: str, frame: int) -> Pixels:
@@ -234,7 +240,7 @@ class RecordedSet(Sequence[Sample]):
         """The statistics of the whole data set, with all splits: those that ``export`` writes to stats.json of v3.0.
 
         Feature → ``min``, ``max``, ``mean``, ``std``, quantiles, ``count``: of numbers (K,); of pictures (3, 1, 1) on
-        a scale of 0 to 1, of up to 100 in each episode, which are read at the first use.
+        a scale of 0 to 1, of depth (1, 1, 1) in mm, of up to 100 in each episode, which are read at the first use.
         """
         found = {
             name: number_stats(column.reshape(len(column), -1))
@@ -242,7 +248,7 @@ class RecordedSet(Sequence[Sample]):
             if column.dtype != object
         }
         for name in self._places:
-            pictures = PictureStats()
+            pictures = no_stats(self.features[name]) or PictureStats()
             for episode in self._all:
                 for frame in (episode.dataset_from_index + sampled(episode.length)).tolist():
                     number = int(np.searchsorted(self._ends, frame, side="right"))
@@ -254,8 +260,8 @@ class RecordedSet(Sequence[Sample]):
         """Return it as a ``torch.utils.data.Dataset``, whose samples equal those of LeRobot's loader.
 
         Args:
-            image_transforms: called with each tensor of pictures.
-            return_uint8: pictures stay uint8; otherwise they are float32 from 0 to 1.
+            image_transforms: called with each tensor of pictures, but not of depth.
+            return_uint8: colours stay uint8; otherwise they are float32 from 0 to 1.
 
         Raises:
             Unavailable: PyTorch is not installed.

@@ -41,11 +41,11 @@ class OpenRecordings:
             self._checked.add(number)
 
     def picture(self, number: int, source: PictureSource, place: Place) -> Pixels:
-        """Return a picture of a recording (rows, columns, 3).  Raises GatewayError."""
+        """Return a picture of a recording, as ``PictureReader.rgb`` does.  Raises GatewayError."""
         with self._lock:
             recording, readers = self._use(number)
             if source not in readers:
-                readers[source] = PictureReader(recording[source.stream], source.window)
+                readers[source] = PictureReader(recording[source.stream], source.window, source.depth_mm)
             return readers[source].rgb(place)
 
     def _use(self, number: int) -> tuple[Recording, dict[PictureSource, PictureReader]]:

@@ -58,10 +58,11 @@ class KnownRecording:
 
 @dataclass(frozen=True, slots=True)
 class PictureSource:
-    """Where the pictures of a feature are from: key of the stream, and window as in the recipe."""
+    """Where the pictures of a feature are from: key of the stream, and windows as in the recipe."""
 
     stream: str
     window: tuple[float, ...]
+    depth_mm: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,7 +171,7 @@ def _columns(plan: Plan) -> SessionColumns:
                 "one; `igtl-gateway import` makes it"
             )
         places[name] = samples.pictures.places[values]
-        sources[name] = PictureSource(samples.row.stream, samples.row.window)
+        sources[name] = PictureSource(samples.row.stream, samples.row.window, samples.row.depth_mm)
     own = [own_columns(plan, each, 0) for each in plan.episodes]
     columns |= {name: np.concatenate([each[name] for each in own]) for name in own[0]}
     names = {row: each.recorded_names for row, each in enumerate(plan.samples) if each is not None}

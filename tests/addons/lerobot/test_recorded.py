@@ -56,6 +56,10 @@ fields = ["position"]
 name = "observation.images.view"
 stream = "IMAGE/View"
 [[feature]]
+name = "observation.images.depth"
+stream = "IMAGE/Depth"
+depth_mm = [0, 200]
+[[feature]]
 name = "observation.meta.step"
 stream = "STRING/Step"
 tolerance_ms = "any"
@@ -104,7 +108,13 @@ def messages(first: float, names: tuple[str, ...] = ("yaw", "pitch"), columns: i
     for number in range(10):
         at, pixels = first + 0.1 * number, bars(number + round(first), columns=columns)
         found.append((at, "IMAGE/View", Image((columns, 48, 1), 3, pixels.tobytes())))
+        found.append((at, "IMAGE/Depth", Image((20, 16, 1), 5, slope(number).tobytes())))
     return sorted(found, key=lambda each: each[0])
+
+
+def slope(number: int) -> Any:
+    """Depth in mm, (16, 20) uint16, some of it beyond the window of the recipe."""
+    return (np.arange(16 * 20).reshape(16, 20) + 10 * number).astype("<u2")
 
 
 def recipe_in(folder: Path, text: str = RECIPE) -> Path:
@@ -155,8 +165,11 @@ def check_numbers(samples: RecordedSet, root: Path) -> None:
         for name, value in row.items():
             assert np.asarray(sample[name]).tolist() == value, (row["index"], name)
         kinds = {name: np.asarray(each).dtype for name, each in sample.items() if not isinstance(each, str)}
+        types = {3: "uint8", 1: "float32"}
         assert {name: str(each) for name, each in kinds.items()} == {
-            name: each["dtype"].replace("video", "uint8") for name, each in info["features"].items() if name in kinds
+            name: types[each["shape"][2]] if each["dtype"] == "video" else each["dtype"]
+            for name, each in info["features"].items()
+            if name in kinds
         }
     stats = json.loads((root / "meta" / "stats.json").read_text("utf-8"))
     found = {name: {key: each.tolist() for key, each in own.items()} for name, own in samples.stats.items()}
@@ -186,6 +199,8 @@ def test_a_folder_has_the_numbers_of_the_exported_set(samples: RecordedSet, stud
         assert sample["observation.joints"].tolist() == pytest.approx([first + at + 3, first + at + 5])  # yaw, pitch
         assert number_of(sample[VIEW]) == first + int(10 * at + 0.01)  # the nearest one
         assert sample["observation.meta.step"] == f"step {first}"
+        away = sample["observation.images.depth"][:, :, 0] - np.minimum(slope(int(10 * at + 0.01)), 200)
+        assert np.abs(away).max() <= 200 / 4095 / 2 + 1e-5
 
 
 def test_the_example_of_the_document(study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
