@@ -34,7 +34,7 @@ def import_hint(error: GatewayError, options: argparse.Namespace) -> str:
     if folder := folder_hint(error, options):
         return folder
     for path in _paths(options):
-        if f"{path}:" not in text or not os.path.exists(path):
+        if f"{path}:" not in text or not os.path.exists(path) or path == getattr(options, "output", None):
             continue
         what = part_of("exchange", "formats:what_to_import")(path)
         if not what and _NO_MCAP in text and (other := part_of("exchange", "formats:what_is_foreign")(path)):

@@ -11,7 +11,8 @@ import os
 import re
 import shutil
 import stat
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -28,7 +29,7 @@ from igtl_gateway.addons.lerobot.native import NATIVE
 from igtl_gateway.addons.lerobot.reading import read_data_set, read_info, read_tasks, read_total_stats
 from igtl_gateway.addons.lerobot.recipe import Recipe
 from igtl_gateway.addons.lerobot.recipe_file import read_recipe
-from igtl_gateway.addons.lerobot.schema import Described, Schema, schema_of, unlike
+from igtl_gateway.addons.lerobot.schema import Described, RowFacts, Schema, flat_names, schema_of
 from igtl_gateway.addons.lerobot.session_list import SESSIONS, SessionList, read_session_list
 from igtl_gateway.addons.lerobot.splits import Group, has_ranges, owners_of, ranges_of
 from igtl_gateway.addons.lerobot.writing import PROVENANCE, RECIPE
@@ -76,7 +77,7 @@ def append_sessions(paths: Sequence[Path], recipe_path: Path | None, out: Path, 
         _check_recipe(recipe, path, old, root)
         listed = old.so_far.sessions
         sessions = describe(paths, path, recipe, do, {each.sha256: each.name for each in listed.sessions})
-        schema = _schema(sessions, recipe, old.so_far, root)
+        schema = _schema(sessions, old.so_far, root)
         check_schema(sessions, schema, recipe)
         _link(root, folder)
         done = write_batch(folder, Batch(sessions, path, recipe, text, schema), old.so_far, do, old.groups)
@@ -214,20 +215,26 @@ def _short(value: Any) -> str:
     return printable(text if len(text) <= 60 else f"{text[:60]}…")
 
 
-def _schema(sessions: Sequence[Described], recipe: Recipe, so_far: SetSoFar, root: Path) -> Schema:
-    """What the new sessions must have.  Raises ConfigError where a set of another program has other features."""
+def _schema(sessions: Sequence[Described], so_far: SetSoFar, root: Path) -> Schema:
+    """What the new sessions must have.  Raises DamagedRecording for a list of sessions of another recipe."""
     listed, own = so_far.sessions, schema_of(sessions)
     features = so_far.info["features"]
-    if listed.others:
-        if wrong := unlike(own.features, features):
-            more = f"; and {len(wrong) - 1:,} more" if wrong[1:] else ""
-            raise ConfigError(f"{root}/meta/info.json: {wrong[0]}{more}")
-        features = own.features
     if not listed.sessions:
-        return own
+        return replace(own, features=features, rows=tuple(_ordered(own.rows, features)), name=root.name, is_own=False)
     if [each.row for each in listed.rows] != [each.row for each in own.rows]:
         raise DamagedRecording(f"{root}/meta/{SESSIONS}: rows: found other rows than in the recipe, expected the same")
-    return Schema(listed.clock, features, listed.rows, listed.sessions[0].name)
+    return Schema(listed.clock, features, listed.rows, listed.sessions[0].name, not listed.others)
+
+
+def _ordered(rows: Sequence[RowFacts], features: Mapping[str, Any]) -> Iterator[RowFacts]:
+    """Rows whose names are in the order of features of another program, where a feature has one row and names."""
+    count = Counter(each.feature for each in rows)
+    for row in rows:
+        names = flat_names(features.get(row.feature, {}).get("names"))
+        is_other = (
+            isinstance(names, list) and count[row.feature] == 1 and Counter(map(str, names)) == Counter(row.names)
+        )
+        yield replace(row, names=tuple(names)) if is_other else row
 
 
 def _link(old: Path, new: Path) -> None:

@@ -288,7 +288,7 @@ def write_parts(
         episode, frame = episode + len(each.episodes), frame + each.frames
     replies = _replies(jobs, do)
     for each, reply in zip(sessions, replies, strict=True):
-        if reply["features"] != schema.features:
+        if schema.unlike(reply["features"]):
             raise GatewayError(
                 f"{printable(each.name)}: it changed while it was read, expected a recording that is complete"
             )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from statistics import median
 from typing import Any
@@ -107,17 +107,32 @@ class Schema:
     Attributes:
         clock, features, rows: as in ``Described``.
         name: of a session that has it.
+        is_own: whether the features are those that this program writes; otherwise those of another one.
     """
 
     clock: str
     features: Mapping[str, Any]
     rows: tuple[RowFacts, ...]
     name: str
+    is_own: bool = True
 
     @property
     def names(self) -> dict[int, tuple[str, ...]]:
         """Row of the recipe → names of its numbers, in the order of the data set."""
         return {each.row: each.names for each in self.rows if each.names}
+
+    def unlike(self, features: Mapping[str, Any], besides: Collection[str] = ()) -> list[str]:
+        """Return how features differ: place, found and expected; those of ``besides`` are not compared."""
+        one, two = (
+            {name: each for name, each in all.items() if name not in besides} for all in (features, self.features)
+        )
+        if not self.is_own:
+            return unlike(one, two)
+        return [
+            f"{name}: found {_short(one.get(name))}, expected {_short(two.get(name))}"
+            for name in sorted({*one, *two})
+            if one.get(name) != two.get(name)
+        ]
 
 
 def schema_of(sessions: Sequence[Described]) -> Schema:
@@ -146,11 +161,7 @@ def differences(session: Described, schema: Schema, recipe: Recipe) -> list[str]
     alike = {each.row for each, other in zip(session.rows, schema.rows, strict=True) if each.names == other.names}
     moved = {each.feature for each in session.rows if each.row not in alike}
     moved |= {row.name for row in recipe.features if row.next_of in moved}
-    for name in sorted({*session.features, *schema.features} - moved):
-        one, two = session.features.get(name), schema.features.get(name)
-        if one != two:
-            found.append(f"{name}: found {_short(one)}, expected {_short(two)}")
-    return found
+    return schema.unlike(session.features, moved)
 
 
 def unlike(found: Mapping[str, Any], expected: Mapping[str, Any]) -> list[str]:
@@ -166,7 +177,7 @@ def unlike(found: Mapping[str, Any], expected: Mapping[str, Any]) -> list[str]:
             continue
         one, two = found[name], expected[name]
         facts = {key: (one[key], two[key]) for key in ("dtype", "shape")}
-        if (names := _flat(two.get("names"))) and one["dtype"] != "video":
+        if (names := flat_names(two.get("names"))) and one["dtype"] != "video":
             facts["names"] = one["names"], names
         info = two.get("info")
         facts |= {
@@ -182,7 +193,7 @@ def unlike(found: Mapping[str, Any], expected: Mapping[str, Any]) -> list[str]:
     return wrong
 
 
-def _flat(names: Any) -> Any:
+def flat_names(names: Any) -> Any:
     """Names as a list, also those in a table of one group, as ``{"motors": […]}``."""
     return next(iter(names.values())) if isinstance(names, dict) and len(names) == 1 else names
 

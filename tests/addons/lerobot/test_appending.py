@@ -6,6 +6,8 @@ import errno
 import json
 import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,7 @@ from igtl_gateway.cli import main
 from igtl_gateway.record.sessionfile import replaced_folder
 from tests.addons.lerobot.sessions import write_session
 from tests.addons.lerobot.test_assembling import bytes_of, info_of, messages, recipe_of, rows_of
+from tests.places import ROOT
 from tests.tables import table
 
 SPLITS = '[splits]\npatient = "{patient}_*"\ntrain = 0.5\nval = 0.5'
@@ -261,3 +264,121 @@ def test_a_set_that_is_not_whole_is_refused(
     err = capsys.readouterr().err
     assert text in err and err.count("\n") == 1, err
     assert bytes_of(root) == before and os.listdir(tmp_path) == ["set"]
+
+
+#: What a set of LeRobot itself has in ``meta``.
+THEIRS = {"v2.1": ("info.json", "tasks.jsonl", "episodes.jsonl", "episodes_stats.jsonl"),
+          "v3.0": ("info.json", "tasks.parquet", "stats.json", "episodes")}  # fmt: skip
+
+
+def foreign(study: Path, folder: Path, version: str) -> Path:
+    """The set as another program writes it: other columns about episodes, keys that are not known, and no splits."""
+    root = copy_of(study, folder, version)
+    for path in (root / "meta").iterdir():
+        if path.name not in THEIRS[version]:
+            path.unlink()
+    info = info_of(root)
+    info["features"]["observation.joints"]["names"] = {"motors": info["features"]["observation.joints"]["names"]}
+    info["features"]["observation.images.view"]["info"] |= {"video.crf": 30}
+    changed_info(root, splits={"train": "0:2"}, features=info["features"], made_for=[1])
+    if version == "v3.0":
+        for path in (root / "meta" / "episodes").rglob("*.parquet"):
+            rows = parquet.read_table(path)
+            wanted = [name for name in rows.schema.names if not name.endswith(("q10", "q90"))]
+            parquet.write_table(rows.select(wanted[::-1]).append_column("mood", [["good"] * rows.num_rows]), path)
+    return root
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_a_set_of_another_program_grows(version: str, study: Path, tmp_path: Path) -> None:
+    root, recipe, before = foreign(study, tmp_path, version), study / version / "meta" / "recipe.toml", bytes_of(study)
+    append_sessions(files_of(study, NEW[1:2]), recipe, root)  # joints in another order, alone
+    append_sessions(files_of(study, (NEW[0], NEW[2])), None, root)
+    assert bytes_of(study) == before
+    info, listed = info_of(root), json.loads((root / "meta" / "sessions.json").read_text())
+    assert info["made_for"] == [1] and info["total_frames"] == 45 and listed["others"] == 2
+    assert info["splits"] == {"train": "0:2,3:4", "val": "2:3,4:5"}  # the frames that were there count, too
+    assert rows_of(root)["index"] == list(range(45))
+    checked = check(root, files_of(study, NEW))
+    assert checked.findings == []
+    assert checked.notes == ["2 episodes of another program: not compared, no recording is known"]
+    if version == "v3.0":
+        files = sorted((root / "meta" / "episodes").rglob("*.parquet"))
+        schemas = [parquet.read_schema(each) for each in files]
+        assert all(each.equals(schemas[0]) for each in schemas) and "mood" in schemas[0].names and len(schemas) > 2
+        stats, force = (
+            json.loads((root / "meta" / "stats.json").read_text()),
+            np.array(rows_of(root)["observation.force"]),
+        )
+        assert stats["observation.force"]["q01"] == [np.quantile(force, 0.01)]
+        other = json.loads((copy_of(study, tmp_path / "own") / "meta" / "stats.json").read_text())
+        assert stats["observation.images.view"]["count"] == [45] and other["observation.images.view"]["count"] == [18]
+
+
+def other_rows(root: Path, **change: Any) -> None:
+    info = info_of(root)
+    changed_info(root, features=info["features"] | change)
+
+
+FOREIGN: list[tuple[Callable[[Path], Any], str]] = [
+    (lambda root: changed_info(root, fps=20), "dataset.fps: found 10, expected 20 as in"),
+    (lambda root: changed_info(root, robot_type="so100"), "robot_type: found 'unknown', expected 'so100' as in"),
+    (lambda root: changed_info(root, chunks_size=500), "chunks_size: found 500, expected 1000"),
+    (lambda root: other_rows(root, reward={"dtype": "float32", "shape": [1], "names": None}),
+     "reward: found it in the data set and not in the recipe"),
+    (lambda root: other_rows(root, action={"dtype": "float64", "shape": [7], "names": None}),
+     'action: dtype: found "float32", expected "float64"'),
+    (lambda root: other_rows(root, action={"dtype": "float32", "shape": [7], "names": list("abcdefg")}),
+     'action: names: found ["x", "y"'),
+    (lambda root: half(root, "meta/stats.json"), "stats.json: No such file"),
+    (lambda root: half(root, VIDEO), "expected a whole set"),
+    (lambda root: (root / "meta" / "stats.json").write_text("{}"), "found no mean, std and count of pictures"),
+]  # fmt: skip
+
+
+@table(("damage", "text"), FOREIGN, gate=lambda damage, text: "chunks" in text or "reward" in text)
+def test_what_does_not_fit_a_set_of_another_program(
+    damage: Callable[[Path], Any], text: str, study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = foreign(study, tmp_path, "v3.0")
+    damage(root)
+    before, recipe = bytes_of(root), str(study / "v3.0" / "meta" / "recipe.toml")
+    words = ["export", str(study / "P03_a.mcap"), "--to", "lerobot", "--append", "-o", str(root), "--recipe", recipe]
+    assert main(words) in (1, 2)
+    err = capsys.readouterr().err
+    assert text in err and err.count("\n") == 1 and "import" not in err, err
+    assert bytes_of(root) == before and os.listdir(tmp_path) == ["set"]
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_a_program_that_is_killed_at_any_step_leaves_the_old_set(study: Path, tmp_path: Path) -> None:
+    """Each step is a call of the system; after the exchange it is the new set, which a killed program leaves, too."""
+    root, files = copy_of(study, tmp_path), files_of(study, NEW[:1])
+    whole = copy_of(study, tmp_path / "whole")
+    append_sessions(files, None, whole)
+    old, new = bytes_of(root), bytes_of(whole)
+    words = [sys.executable, "-m", "tests.addons.lerobot.append_and_die", str(tmp_path), *map(str, files)]
+    seen, step, kills = set[str](), 1, 0
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT) as program:
+        assert program.stdin is not None and program.stdout is not None
+        while True:
+            program.stdin.write(f"{step}\n")
+            program.stdin.flush()
+            ended = int(program.stdout.readline())
+            found = bytes_of(root)
+            assert found in (old, new), step
+            assert check(root, ()).findings == []
+            if not ended:
+                break
+            assert ended == 9
+            kills += 1
+            seen.add("old" if found == old else "new")
+            if found == new:  # the next one would find its sessions there
+                shutil.rmtree(root)
+                shutil.copytree(study / "v3.0", root)
+            step += 5
+    assert found == new and os.listdir(tmp_path / "set") and seen == {"old", "new"} and kills >= 20
+    left = set(os.listdir(tmp_path)) - {"set", "whole"}
+    assert not left, left
