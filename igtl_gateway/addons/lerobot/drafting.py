@@ -20,7 +20,8 @@ from igtl_gateway.addons.lerobot.pictures import Pictures, first_pixels, has_pic
 from igtl_gateway.addons.lerobot.recipe import ACTION, IMAGES, STATE, Feature, Recipe
 from igtl_gateway.addons.lerobot.recipe_file import toml_value
 from igtl_gateway.addons.lerobot.resampling import common, coverage, frame_count
-from igtl_gateway.addons.lerobot.samples import JoinedStreams, Samples, read_samples
+from igtl_gateway.addons.lerobot.samples import JoinedStreams, Samples, columns_of, read_samples
+from igtl_gateway.addons.lerobot.set_topics import SetTopics
 
 #: Words in the names of streams that carry commands (CRTK, and usual names).
 _COMMANDS = re.compile(r"(^|[/_])(servo|move|setpoint|goal|cmd|command|target)(_|/|$)", re.IGNORECASE)
@@ -84,14 +85,14 @@ def draft(recording: Recording, globs: Sequence[str] = ()) -> Draft:
         ConfigError: a glob matches no stream.
         GatewayError: no stream can be the state.
     """
-    streams = _wanted(recording, globs)
+    streams, of_set = _wanted(recording, globs), SetTopics.of(recording)
     good = [each for each in streams if len(each)]
     joined = JoinedStreams(good, "auto")
     chosen, left_out = list[_Candidate](), list[str]()
     covered: list[tuple[int, int]] = []
     taken: set[str] = set()
     # the state first: without it there is no data set
-    candidates = list(_candidates(recording, good, joined, left_out, is_named=bool(globs)))
+    candidates = list(_candidates(recording, good, joined, left_out, of_set, is_named=bool(globs)))
     for candidate in sorted(candidates, key=lambda each: (_order(each), -_length(coverage(each.samples)))):
         has = coverage(candidate.samples)
         both = common(covered, has) if chosen else has
@@ -116,7 +117,8 @@ def draft(recording: Recording, globs: Sequence[str] = ()) -> Draft:
     facts = Draft(
         "", fps, giver.feature.stream, _reason(giver, chosen, is_named=bool(globs)), tuple(_costs(chosen, fps))
     )
-    return replace(facts, text="\n".join(_lines(facts, chosen, left_out)) + "\n")
+    default = of_set.defaults() if of_set else Recipe(1, "x")
+    return replace(facts, text="\n".join(_lines(facts, chosen, left_out, default)) + "\n")
 
 
 def _wanted(recording: Recording, globs: Sequence[str]) -> list[Stream]:
@@ -148,12 +150,21 @@ def _frames(intervals: list[tuple[int, int]], fps: int) -> bool:
 
 
 def _candidates(
-    recording: Recording, streams: list[Stream], joined: JoinedStreams, left_out: list[str], *, is_named: bool
+    recording: Recording,
+    streams: list[Stream],
+    joined: JoinedStreams,
+    left_out: list[str],
+    of_set: SetTopics | None,
+    *,
+    is_named: bool,
 ) -> Iterator[_Candidate]:
     for stream in streams:
         try:
             stream.key.encode()
-            feature = _feature(stream)
+            if of_set and stream.name in of_set.topics:
+                feature = of_set.feature(stream.name, stream.key, stream.type, columns_of(stream))
+            else:
+                feature = _feature(stream)
             if feature is None:
                 continue
             first = _Candidate(feature, read_samples(recording, feature, joined, stream.key))
@@ -281,9 +292,8 @@ def _hz(rate_hz: float) -> str:
     return f"{rate_hz:,.3g} Hz" if rate_hz < 100 else f"{rate_hz:,.0f} Hz"
 
 
-def _lines(facts: Draft, chosen: list[_Candidate], left_out: list[str]) -> Iterator[str]:
+def _lines(facts: Draft, chosen: list[_Candidate], left_out: list[str], default: Recipe) -> Iterator[str]:
     names = [each.feature.name for each in chosen]
-    default = Recipe(1, "x")
     yield "# A recipe for `igtl-gateway export --to lerobot`; docs/how-to/lerobot.md describes all keys."
     yield "[dataset]"
     yield from (f"# {_plain(each)}" for each in (facts.reason, *facts.costs))
@@ -319,7 +329,7 @@ def _plain(text: str) -> str:
 def _row(feature: Feature) -> Iterator[str]:
     yield "[[feature]]"
     values: dict[str, Any] = {"name": feature.name, "stream": feature.stream}
-    values |= {name: getattr(feature, name) for name in ("fields", "window", "rule") if getattr(feature, name)}
+    values |= {name: getattr(feature, name) for name in ("fields", "names", "window", "rule") if getattr(feature, name)}
     values["tolerance_ms"] = "any" if feature.tolerance_ms is None else feature.tolerance_ms
     yield from (f"{name} = {toml_value(value)}" for name, value in values.items())
     if feature.window:

@@ -49,6 +49,11 @@ def read_recipe(path: Path) -> Recipe:
         raise ConfigError(f"{path}: {error}") from None
 
 
+def is_feature_name(name: str) -> bool:
+    """Return whether a feature can have this name."""
+    return _FEATURE.fullmatch(name) is not None and len(name) <= 100
+
+
 def _wrong(place: str, found: Any, expected: str) -> ConfigError:
     text = repr(found)
     return ConfigError(f"{place}: found {text if len(text) <= 60 else text[:60] + '…'}, expected {expected}")
@@ -111,7 +116,7 @@ _DATASET: dict[str, Check] = {
 }
 _FEATURES: dict[str, Check] = {
     "name": (
-        lambda value: isinstance(value, str) and _FEATURE.fullmatch(value) is not None and len(value) <= 100,
+        lambda value: isinstance(value, str) and is_feature_name(value),
         "action, observation.state, observation.images.VIEW or another name below action. or observation.",
     ),
     "stream": (_foreign, f"a string of 1 to {_MAX_TEXT} characters"),

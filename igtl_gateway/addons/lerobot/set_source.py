@@ -16,7 +16,6 @@ Memory: one data file, and one frame of each video.
 from __future__ import annotations
 
 import heapq
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -53,6 +52,7 @@ from igtl_gateway.addons.lerobot.set_streams import (
     values_of,
 )
 from igtl_gateway.addons.lerobot.set_times import SetTimes, times_of
+from igtl_gateway.addons.lerobot.set_topics import SetTopics
 
 Times = npt.NDArray[np.int64]
 #: A message of a stream: its stamp (UTC ns) and its bytes; None for a frame without one.
@@ -60,8 +60,8 @@ Stamped = tuple[int, Buffer | None]
 
 TASK = "/task"
 LABEL = "episode-{}"
-#: Names that a note lists, characters of info.json that the metadata of the session have.
-_LISTED, _MOST_INFO = 5, 100_000
+#: Names that a note lists.
+_LISTED = 5
 _MOST_TEXT = 1000
 #: Time from a stamp to the first entry with it.
 _AGE_NS = 1
@@ -113,14 +113,14 @@ class SetSource(NonRosSource):
         self._count = sum(each.length for each in episodes)
         self._streams = [_SetStream(TASK, String.TYPE, ImportedStream("task", 0, String.TYPE), self._tasks)]
         self._columns: list[str] = []
+        self._features: dict[str, tuple[str, tuple[str, ...]]] = {TASK: ("", ())}
         for name, feature in found.info["features"].items():
             if name not in OWN_COLUMNS:
                 self._add(name, feature)
         self.rows = [each.row for each in self._streams] + self.rows
         self.facts = {
             "imported_format": "lerobot",
-            "lerobot_topics": json.dumps({each.topic: each.row.stream for each in self._streams}, sort_keys=True),
-            "lerobot_info": json.dumps(found.info, sort_keys=True)[:_MOST_INFO],
+            **SetTopics(found.version, str(found.info.get("robot_type") or ""), self._features).facts(),
         }
         self._add_notes(sorted(episodes, key=lambda each: each.index))
 
@@ -147,7 +147,7 @@ class SetSource(NonRosSource):
             names = names_of(feature, width)
             joints = is_joints(name, feature)
             kind = JointState.TYPE if joints else MULTI_ARRAYS[NUMBERS[dtype]].TYPE
-            self._add_stream(topic, kind, name, partial(self._numbers, name, feature, names, joints))
+            self._add_stream(topic, kind, name, partial(self._numbers, name, feature, names, joints), names)
             for pose in poses_of(names):
                 own = self._topic(f"{name}.{pose.name or 'pose'}")
                 self._add_stream(own, PoseStamped.TYPE, name, partial(self._poses, name, width, pose.columns))
@@ -162,11 +162,18 @@ class SetSource(NonRosSource):
         self.rows.append(ImportedStream(printable(name), self._count, dtype, left_out=self._count, why=why))
 
     def _add_stream(
-        self, topic: str, kind: str, name: str, messages: Callable[[_Frames], Iterator[Stamped]]
+        self,
+        topic: str,
+        kind: str,
+        name: str,
+        messages: Callable[[_Frames], Iterator[Stamped]],
+        names: tuple[str, ...] = (),
     ) -> _SetStream:
         what = f"{printable(name)}: pose" if kind == PoseStamped.TYPE else printable(name)
         stream = _SetStream(topic, kind, ImportedStream(what, self._count, kind), messages)
         self._streams.append(stream)
+        is_pose = kind == PoseStamped.TYPE
+        self._features[topic] = ("" if is_pose else name, names)
         if name not in self._found.videos:
             self._columns.append(name)
         return stream

@@ -37,7 +37,7 @@ Times = npt.NDArray[np.int64]
 #: dtype of a feature → numbers of the message that has its values; of int64 those that a float64 has exactly.
 NUMBERS = {
     "float16": "f4", "float32": "f4", "float64": "f8", "int8": "i1", "int16": "i2", "int32": "i4", "int64": "f8",
-    "uint8": "u1", "uint16": "u2", "uint32": "u4", "uint64": "f8", "bool": "u1",
+    "uint8": "u1", "uint16": "u2", "uint32": "u4", "uint64": "f8", "bool": "i1",
 }  # fmt: skip
 _EXACT = 1 << 53
 #: Names of the seven numbers of a pose, behind what they have in common.

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import av
@@ -17,7 +19,9 @@ from pyarrow import parquet
 
 import igtl_gateway
 from igtl_gateway.addons.lerobot.comparing import check
+from igtl_gateway.addons.lerobot.drafting import draft
 from igtl_gateway.addons.lerobot.export import export_lerobot
+from igtl_gateway.addons.lerobot.set_topics import ITEM, SetTopics
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.cli import FAILURE, USAGE, main
@@ -60,38 +64,6 @@ tolerance_ms = "any"
 name = "action"
 next_of = "observation.state"
 """
-#: What gives the set back: topics of the session for the streams of the recipe.
-BACK = """\
-[dataset]
-fps = 10
-task = "not stated"
-format = "{format}"
-measure_lags = false
-[episodes]
-by = "marks"
-[[feature]]
-name = "observation.state"
-stream = "/observation/state"
-fields = ["position"]
-names = {names}
-[[feature]]
-name = "observation.state.joints"
-stream = "/observation/state/joints"
-fields = ["position"]
-names = ["yaw.position", "pitch.position"]
-[[feature]]
-name = "observation.images.view"
-stream = "/observation/images/view"
-[[feature]]
-name = "observation.meta.trial"
-stream = "/observation/meta/trial"
-[[feature]]
-name = "action"
-stream = "/action"
-fields = ["position"]
-names = {names}
-"""
-NAMES = '["x", "y", "z", "qx", "qy", "qz", "qw"]'
 
 
 @pytest.fixture(scope="module")
@@ -187,23 +159,26 @@ def test_each_number_stamp_text_and_pixel_is_that_of_the_set(version: str, sets:
 
 @table(
     ("version", "tolerance"),
-    [("v2.1", ""), ("v3.0", ""), ("v2.1", 'tolerance_ms = "any"\n')],
-    gate=lambda version, tolerance: bool(tolerance),
+    [("v2.1", "1000.0"), ("v3.0", "1000.0"), ("v2.1", '"any"')],
+    gate=lambda version, tolerance: tolerance == '"any"',
 )
 def test_our_own_set_comes_back_with_its_times(version: str, tolerance: str, sets: Path, tmp_path: Path) -> None:
     root, out, recipe = sets / version, tmp_path / "again", tmp_path / "back.toml"
     session = imported(root, tmp_path / "s.mcap")
-    text = BACK.format(format=version, names=NAMES).replace('stream = "/', f'{tolerance}stream = "/')
-    recipe.write_text(text, "utf-8")
+    with igtl_gateway.open(session) as recording:
+        text = draft(recording).text
+    recipe.write_text(re.sub(r"tolerance_ms = \S+", f"tolerance_ms = {tolerance}", text), "utf-8")
     export_lerobot(session, recipe, out)
     assert source_rows(out) == source_rows(root)
+    before, after = (json.loads((each / "meta" / "info.json").read_text("utf-8")) for each in (root, out))
+    assert before == after
     times = parquet.read_table(root / "meta" / "provenance.parquet")["time_ns"].to_pylist()
     assert parquet.read_table(out / "meta" / "provenance.parquet")["time_ns"].to_pylist() == times
     assert times[0] == BEGIN_NS
     assert check(out, [session]).findings == []
-    before, after = source_pictures(root).astype(int), source_pictures(out).astype(int)
-    assert before.shape == after.shape == (10, 32, 32, 3)
-    assert np.abs(before - after).mean() < 2 < np.abs(before - np.roll(before, 1, axis=0)).mean()
+    one, two = source_pictures(root).astype(int), source_pictures(out).astype(int)
+    assert one.shape == two.shape == (10, 32, 32, 3)
+    assert np.abs(one - two).mean() < 2 < np.abs(one - np.roll(one, 1, axis=0)).mean()
 
 
 def test_one_episode_has_the_stamps_that_it_has_in_all(sets: Path, tmp_path: Path) -> None:
@@ -396,3 +371,11 @@ def test_a_file_has_no_episodes(tmp_path: Path, capsys: pytest.CaptureFixture[st
     for words in (["--each"], ["--episodes", "1"]):
         assert main(["import", str(tmp_path / "s.igtl"), "-o", str(tmp_path / "s"), *words]) == USAGE
         assert f"{words[0]}: found it with another source, expected a LeRobot data set" in capsys.readouterr().err
+
+
+@table("text", ["", "{", "[]", '{"version": "v2.1"}', '{"version": 1, "robot_type": "", "topics": {}}'])
+def test_a_recording_that_states_no_set(text: str) -> None:
+    recording: Any = SimpleNamespace(session={ITEM: text})
+    assert SetTopics.of(recording) is None
+    recording.session[ITEM] = SetTopics("v2.1", "arm", {"/a": ("action", ("x",))}).facts()[ITEM]
+    assert SetTopics.of(recording) == SetTopics("v2.1", "arm", {"/a": ("action", ("x",))})
