@@ -212,6 +212,18 @@ QUERIES = {
     "uninstall": "start/install",
     "foxglove": "start/coming-from",
     "millimetres": "reference/conversions",
+    "file size": "how-to/disk",
+    "frame not found": "how-to/nothing-arrives",
+    "high latency": "reference/doctor",
+    "trim": "reference/command-line",
+    "cut a recording": "reference/command-line",
+    "matlab": "reference/formats",
+    "excel": "reference/formats",
+    "duckdb": "reference/formats",
+    "realsense": "how-to/ros-robot",
+    "multiple robots": "how-to/ros-robot",
+    "two slicers": "how-to/slicer",
+    "hololens": "start/coming-from",
 }
 
 
