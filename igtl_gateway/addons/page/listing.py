@@ -18,7 +18,7 @@ from igtl_gateway.addon.live import REPLAY_SIDES, ReplaySide, plan_replay
 from igtl_gateway.addon.notes import LINK_DOWN, LINK_UP, LOSSES, PAUSED, RESUMED
 from igtl_gateway.addon.processes import ignore_endings
 from igtl_gateway.addon.reading import Kind, Level, Note, SessionFile, marks_of, only_of_kinds, stated_seals
-from igtl_gateway.addon.terminal import count_text
+from igtl_gateway.addon.terminal import count_text, natural
 
 #: What is wanted of a recording: its row in the list, its time line, the numbers of a stream.
 FACTS, PLACES, PLOT = "facts", "places", "plot"
@@ -73,7 +73,7 @@ def _sends(file: SessionFile, to: str, side: ReplaySide) -> dict[str, Any]:
 
 
 def _names(file: SessionFile, kinds: Set[Kind]) -> list[str]:
-    return sorted({one.stream or one.topic for one in file.channels if one.count and one.kind in kinds})
+    return sorted({one.stream or one.topic for one in file.channels if one.count and one.kind in kinds}, key=natural)
 
 
 def places_of(path: Path) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Any
 from igtl_gateway.addon import NS_PER_S
 from igtl_gateway.addon.live import SILENT_NS, Arrivals
 from igtl_gateway.addon.notes import HARMLESS
-from igtl_gateway.addon.terminal import counted
+from igtl_gateway.addon.terminal import counted, natural
 from igtl_gateway.addons.page.left import Left
 from igtl_gateway.addons.page.rhythm import Rhythm
 from igtl_gateway.addons.page.sample import rows_of
@@ -120,7 +120,7 @@ class Now:
         streams = []
         for side in _SIDES if ros else [side for side in _SIDES if side != "ros_out"]:
             totals, drops = facts["totals"].get(side, {}), facts["drops"].get(side, {})
-            for stream in sorted({*totals, *drops}):
+            for stream in sorted({*totals, *drops}, key=natural):
                 key, ones = (side, stream), by_stream.get((side, stream), [])
                 way, is_gone = self._way(key, ones, peers)
                 counts = totals.get(stream, 0), drops.get(stream, {})

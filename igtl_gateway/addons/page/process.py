@@ -128,7 +128,9 @@ class Page:
         lasted_s = self._lasted.get(name)
         if lasted_s is None or (row["read"] and not row.get("recording")):
             return {}
-        return {"recording": False, "closed": True, "problem": "", "duration_s": row.get("duration_s", lasted_s)}
+        facts = {"recording": False, "closed": True, "problem": ""}
+        # the time between its first and its last message is known when the file is read
+        return facts if "duration_s" in row else facts | {"duration_s": lasted_s, "about": True}
 
     def places(self, name: str) -> dict[str, Any] | None:
         """Return what lies on the time line of a recording; None for an unknown one."""

@@ -73,9 +73,10 @@ function clock(seconds) {
   return `${two(Math.floor(whole / 3600))}:${two(Math.floor(whole / 60) % 60)}:${two(whole % 60)}`;
 }
 function span(seconds) {
-  if (seconds < 60) return `${number(seconds, 1)} s`;
-  if (seconds < 3600) return `${Math.floor(seconds / 60)} min ${Math.floor(seconds % 60)} s`;
-  if (seconds < 172800) return `${Math.floor(seconds / 3600)} h ${Math.floor(seconds / 60) % 60} min`;
+  const two = (whole, large, small) => [`${Math.floor(whole / 60)} ${large}`, whole % 60 && `${whole % 60} ${small}`].filter(Boolean).join(" ");
+  if (seconds < 59.95) return `${number(seconds, 1).replace(/\.0$/, "")} s`;
+  if (seconds < 3599.5) return two(Math.round(seconds), "min", "s");
+  if (seconds < 172800) return two(Math.round(seconds / 60), "h", "min");
   return `${number(seconds / 86400)} days`;
 }
 function age(seconds) { return seconds < 1 ? "now" : seconds < 60 ? `${number(seconds)} s` : span(seconds); }
@@ -557,12 +558,13 @@ const RESULTS_OF = { lint: { done: ["ok", "no errors"], failed: ["warning", "pro
 function result(row, action, none) {
   const found = row.results[action];
   if (!found) return h("span.result.zero", null, none);
-  const [kind, word] = RESULTS[found];
+  const job = found === "running" && state.jobs.find((each) => each.state === "running" && each.name === row.name && each.action === action);
+  const [kind, usual] = RESULTS[found], word = job?.progress || usual;
   return h("span.result.s-" + kind, { title: found === "nothing" ? "It has no point cloud or no plan" : null }, icon(kind), word);
 }
 function sessionState(row) {
   if (row.recording) return row.paused ? ["warning", "paused"] : ["waiting", "recording"];
-  if (!row.read && !row.closed) return ["waiting", row.reading_s == null ? "to be read" : row.reading_s < 3 ? "reading" : `reading, ${span(row.reading_s).replace(/\.0 s$/, " s")}`];
+  if (!row.read && !row.closed) return ["waiting", row.reading_s == null ? "to be read" : row.reading_s < 3 ? "reading" : `reading, ${span(row.reading_s)}`];
   if (row.unread) return ["warning", "not read"];
   return row.problem ? ["error", "not closed"] : ["ok", "closed"];
 }
@@ -571,7 +573,7 @@ function drawSessions() {
   part(at.head, [state.folder], () => h("div.lead", null, h("div", null, h("h1", null, "Sessions"), h("p", null, state.folder || "no folder")), h("span.gap"),
     h("input", { type: "search", placeholder: "Filter by name or mark", "aria-label": "Filter by name or mark", style: null, "data-key": "filter", id: "filter", oninput: (event) => { filter = event.target.value.toLowerCase(); drawSessions(); } })));
   const rows = (sessions || []).filter((row) => !filter || row.name.toLowerCase().includes(filter) || (row.marks || []).some((mark) => mark.label.toLowerCase().includes(filter)));
-  part(at.table, [rows, opened, locked(), sessions == null], () => h("div.card", null, !rows.length ? h("p.empty", null, sessions == null ? (state.folder ? "Reading the folder …" : "This bridge does not record: there is no folder to list.") : filter ? "No recording matches." : "No recordings in this folder.")
+  part(at.table, [rows, opened, locked(), sessions == null, state.jobs.map((job) => job.progress)], () => h("div.card", null, !rows.length ? h("p.empty", null, sessions == null ? (state.folder ? "Reading the folder …" : "This bridge does not record: there is no folder to list.") : filter ? "No recording matches." : "No recordings in this folder.")
     : h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Recordings" }, h("table", null, h("thead", null, h("tr", null, SESSION_COLUMNS.map(([title, kind]) => h("th", { scope: "col", class: kind }, title)))), h("tbody", null, rows.map(sessionRow)))),
     sessions?.at(-1)?.older && h("p.empty", null, `${number(sessions.at(-1).older)} older recordings are not listed.`)));
   part(at.jobs, [state.jobs, openJob, openJob && jobLines, locked()], () => (state.jobs.length ? card("Work", null, h("ul.jobs", null, state.jobs.map(jobRow))) : []));
@@ -582,7 +584,7 @@ function sessionRow(row) {
   const toggle = () => { opened = open ? "" : row.name; drawSessions(); };
   const tr = h(open ? "tr.pick.opened" : "tr.pick", { onclick: toggle },
     h("td", null, h("button.link", { "data-key": row.name, "aria-expanded": open, "aria-label": row.name }, h("span.middle", { title: row.name }, ...nameParts(row.name)))),
-    h("td", null, row.start_ns ? day(row.start_ns) : h("span.zero", { title: "Its begin is not known; this is its last change" }, `until ${day(row.modified_ns)}`)), h("td.n", null, row.duration_s == null ? NONE : span(row.duration_s)), h("td.n", null, bytes(row.bytes)),
+    h("td", null, row.start_ns ? day(row.start_ns) : h("span.zero", { title: "Its begin is not known; this is its last change" }, `until ${day(row.modified_ns)}`)), h("td.n", null, row.duration_s == null ? NONE : row.about ? h("span", { title: "How long it was recorded; the file is being read" }, `about ${span(row.duration_s)}`) : span(row.duration_s)), h("td.n", null, bytes(row.bytes)),
     h("td.n.wide", null, row.streams == null ? NONE : number(row.streams)), h("td.n", { class: row.marks?.length ? "n" : "n zero" }, row.marks ? number(row.marked ?? row.marks.length) : NONE),
     h("td", null, stateCell(kind, word)), h("td", null, result(row, "verify", "not yet")),
     h("td.wide", null, row.results.seal ? result(row, "seal") : h("span", { class: row.sealed ? "" : "zero" }, row.sealed ? "has a seal" : "no")), h("td.wide", null, result(row, "review", "not yet")));
