@@ -10,6 +10,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from operator import index as as_index
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -20,6 +21,7 @@ import numpy.typing as npt
 from igtl_gateway.addon import ConfigError, Unavailable, one_of
 from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addons.lerobot.depth import depth_of, has_codes, no_stats
+from igtl_gateway.addons.lerobot.frames import MAX_FRAMES
 from igtl_gateway.addons.lerobot.pictures import Pixels
 from igtl_gateway.addons.lerobot.recorded_open import OpenRecordings
 from igtl_gateway.addons.lerobot.recorded_sessions import ReadSessions, read_sessions, recordings_in
@@ -34,6 +36,8 @@ Sample = dict[str, Any]
 
 #: Distance (s) of an offset in time from a multiple of 1 / fps, as LeRobot has it.
 _TOLERANCE_S = 1e-4
+#: Characters of a wrong value that an error shows.
+_SHOWN = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +169,13 @@ class RecordedSet(Sequence[Sample]):
         """The offsets of a feature in frames (N,).  Raises ConfigError."""
         if name not in self.features:
             raise ConfigError(f"delta_timestamps: found {name!r}, expected {one_of(name, list(self.features))}")
-        found = np.asarray(seconds, np.float64) * self.fps
+        try:
+            found = np.asarray(seconds, np.float64) * self.fps
+        except (TypeError, ValueError):
+            found = np.zeros(0)
+        if found.ndim != 1 or not len(found) or not (np.abs(found) < MAX_FRAMES).all():
+            shown = repr(seconds)[:_SHOWN]
+            raise ConfigError(f"delta_timestamps: {name}: found {shown}, expected a list of one or more seconds")
         wrong = np.abs(found - np.round(found)) > _TOLERANCE_S * self.fps
         if wrong.any():
             raise ConfigError(
@@ -190,10 +200,10 @@ class RecordedSet(Sequence[Sample]):
     def __getitem__(self, index: int | slice) -> Sample | list[Sample]:
         if isinstance(index, slice):
             return [self[each] for each in range(*index.indices(len(self)))]
-        count = len(self)
-        if not -count <= index < count:
-            raise IndexError(f"found index {index}, expected one from {-count} to {count - 1}")
-        return self._sample(int(self._frames[index]))
+        number, count = as_index(index), len(self)
+        if not -count <= number < count:
+            raise IndexError(f"found index {number}, expected one from {-count} to {count - 1}")
+        return self._sample(int(self._frames[number]))
 
     def _sample(self, frame: int) -> Sample:
         number = int(np.searchsorted(self._ends, frame, side="right"))

@@ -130,8 +130,8 @@ def read_sessions(paths: Sequence[Path], recipe_path: Path) -> ReadSessions:
 
     def run(value: Mapping[str, Any]) -> Mapping[str, Any]:
         path = Path(Job.of(value).path)
-        files = files_of(path)
         with open_recording(path) as recording:
+            files = files_of(path)
             plan = build(recording, recipe)
             found = described(path, recipe, recording, plan)
             read[found.path] = KnownRecording(path, found.sha256, files), _columns(plan)

@@ -238,18 +238,18 @@ def test_windows_stay_in_their_episode(study: Path) -> None:
         "observation.yaw": [0],
     }
     samples = dataset(study, study / "recipe.toml", delta_timestamps=offsets)
-    plain = dataset(study, study / "recipe.toml")
-    for number in range(len(samples)):
-        found, episode = samples[number], plain[number]["episode_index"]
+    closed = dataset(study, study / "recipe.toml")
+    plain = list(closed)
+    for number, found in enumerate(samples):
+        inside = [n for n, each in enumerate(plain) if each["episode_index"] == plain[number]["episode_index"]]
         for name, each in offsets.items():
-            inside = [n for n in range(len(plain)) if plain[n]["episode_index"] == episode]
             wanted = [number + round(10 * second) for second in each]
             assert found[f"{name}_is_pad"].tolist() == [n not in inside for n in wanted]
             values = [plain[min(max(n, inside[0]), inside[-1])][name] for n in wanted]
             assert np.array_equal(found[name], values) and type(found[name]) is (list if "meta" in name else np.ndarray)
     one = dataset(study, study / "recipe.toml", delta_timestamps={VIEW: [0.1]})
     assert one[0][VIEW].shape == (48, 64, 3) and number_of(one[0][VIEW]) == 1
-    for part in (samples, plain, one):
+    for part in (samples, closed, one):
         part.close()
 
 
@@ -259,6 +259,10 @@ def test_windows_stay_in_their_episode(study: Path) -> None:
         ({"split": "test"}, "split: found 'test', expected one of train, val"),
         ({"delta_timestamps": {"acton": [0.0]}}, "delta_timestamps: found 'acton', expected "),
         ({"delta_timestamps": {"action": [0.0, 0.15]}}, "action: found 0.15 s, expected multiples of 1 / 10 s"),
+        ({"delta_timestamps": {"action": 0.1}}, "action: found 0.1, expected a list of one or more seconds"),
+        ({"delta_timestamps": {"action": []}}, "action: found [], expected a list of one or more seconds"),
+        ({"delta_timestamps": {"action": ["a"]}}, "action: found ['a'], expected a list of one or more seconds"),
+        ({"delta_timestamps": {"action": [0.0, float("nan")]}}, "action: found [0.0, nan], expected a list of"),
         ({"source": "EMPTY"}, "found no *.mcap in the folder, expected recordings"),
         ({"source": []}, "source: found no path, expected recordings"),
         ({"source": ["P01.mcap", "P01.mcap"]}, "found the content of "),
