@@ -7,6 +7,7 @@ killed then, the next one puts it back.  What is removed at the end is the old f
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -35,16 +36,16 @@ def replaced_folder(path: Path) -> Iterator[Path]:
     """
     before = path.with_name(_BEFORE.format(path.name))
     with _locked(path):
-        with refused(path, write_error):
+        with refused(path, _refusal):
             _put_back(path, before)
             _check(path)
-        with hidden_folder(path, path.parent, write_error) as folder:
+        with hidden_folder(path, path.parent, _refusal) as folder:
             place = folder / path.name
-            with refused(path, write_error):
+            with refused(path, _refusal):
                 make_folder(place)
             with naming(place, path):
                 yield place
-            with refused(path, write_error):
+            with refused(path, _refusal):
                 _sync(place)
                 if not exchange(place, path):
                     _rename(place, path, before)
@@ -56,7 +57,7 @@ def replaced_folder(path: Path) -> Iterator[Path]:
 def _locked(path: Path) -> Iterator[None]:
     """Context manager: no other program replaces the folder."""
     name = path.with_name(_LOCK.format(path.name))
-    with refused(path, write_error):
+    with refused(path, _refusal):
         handle = _lock(path, name)
     try:
         yield
@@ -82,6 +83,12 @@ def _lock(path: Path, name: Path) -> int:
         if is_there:
             return handle
         os.close(handle)  # of a program that has ended meanwhile, and has removed it
+
+
+def _refusal(path: Path, error: OSError) -> GatewayError:
+    """What to raise; the new folder is made beside the old one, in which all may be permitted."""
+    is_beside = error.errno in (errno.EACCES, errno.EPERM, errno.EROFS) and os.path.isdir(path)
+    return GatewayError(f"{write_error(path, error)}{f', in the folder {path.parent}' * is_beside}")
 
 
 def _put_back(path: Path, before: Path) -> None:

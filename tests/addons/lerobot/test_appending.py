@@ -56,7 +56,7 @@ def copy_of(study: Path, folder: Path, version: str = "v3.0") -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+@pytest.mark.parametrize("version", [pytest.param("v2.1", marks=pytest.mark.long), "v3.0"])
 def test_a_set_grows(version: str, study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root, new = copy_of(study, tmp_path, version), files_of(study, NEW)
     (root / "notes.txt").write_text("of the user")
@@ -290,7 +290,7 @@ def foreign(study: Path, folder: Path, version: str) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+@pytest.mark.parametrize("version", [pytest.param("v2.1", marks=pytest.mark.long), "v3.0"])
 def test_a_set_of_another_program_grows(version: str, study: Path, tmp_path: Path) -> None:
     root, recipe, before = foreign(study, tmp_path, version), study / version / "meta" / "recipe.toml", bytes_of(study)
     append_sessions(files_of(study, NEW[1:2]), recipe, root)  # joints in another order, alone

@@ -108,6 +108,19 @@ def test_what_cannot_be_replaced(folder: Path, monkeypatch: pytest.MonkeyPatch) 
         replace(folder)
 
 
+def test_where_nothing_can_be_written(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path, flags: int) -> int:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(home, "open_plain", refuse)
+    with pytest.raises(
+        GatewayError, match=f"^cannot write to {folder}: Permission denied, in the folder {folder.parent}"
+    ):
+        replace(folder)
+    monkeypatch.undo()
+    assert content(folder) == ["kept", "old"]
+
+
 def test_two_folders_are_exchanged_or_it_is_said_that_they_cannot_be(tmp_path: Path) -> None:
     one, two = (tmp_path / name for name in ("one", "two"))
     for path in (one, two):

@@ -60,6 +60,12 @@ def test_errors_name_the_file_and_not_the_hidden_one(tmp_path: Path) -> None:
         raise BrokenPipeError(32, "Broken pipe")  # of standard output: not about this file
 
 
+def test_a_full_disk_is_the_reason_for_a_folder_that_is_there(tmp_path: Path) -> None:
+    with pytest.raises(GatewayError) as found, written_folder(tmp_path):
+        raise OSError(28, "No space left on device")
+    assert str(found.value) == f"cannot write to {tmp_path}: No space left on device"
+
+
 def test_without_a_file_nothing_happens(tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.write_bytes(b"old")
