@@ -102,11 +102,11 @@ def open_csv(path: Path, separator: str, header: bool) -> KinematicsTable:
             csv.ParseOptions(delimiter=SEPARATORS[separator]),
             csv.ConvertOptions(strings_can_be_null=True),
         )
+        names = [each.strip() for each in table.schema.names]
     except (pa.ArrowException, ValueError) as error:
         raise DamagedRecording(
             f"{path}: is not a valid table: {printable(str(error).partition(chr(10))[0])[:200]}"
         ) from None
-    names = [each.strip() for each in table.schema.names]
     if not table.num_rows:
         raise DamagedRecording(f"{path}: found no row, expected one or more")
 

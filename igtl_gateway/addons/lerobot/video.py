@@ -136,6 +136,8 @@ def opened_video(path: Path) -> Iterator[tuple[Any, Deadline]]:
                 if not file.streams.video:
                     raise DamagedRecording(f"{path}: found no video, expected one")
                 codec = file.streams.video[0].codec_context
+                if codec is None:
+                    raise DamagedRecording(f"{path}: found a video of an unknown codec, expected one of FFmpeg")
                 codec.options = {"max_pixels": str(MAX_PIXELS), "err_detect": "explode"}
                 yield file, deadline
         except (av.FFmpegError, OSError, ValueError, OverflowError, MemoryError) as error:

@@ -207,7 +207,8 @@ BAD = [
     (DVRK.replace('times = "kinematics.csv"', 'times = "short.csv"'), "left.mp4: found more frames, expected 2 as "),
     (DVRK.replace('times = "kinematics.csv"', 'times = "long.csv"'), "left.mp4: found 8 frames, expected 16 as "),
     (TABLE.replace('"kinematics.csv"', '"uneven.csv"'), "uneven.csv: is not a valid table: "),
-    (TABLE.replace('"kinematics.csv"', '"empty.csv"'), "empty.csv: "),
+    (TABLE.replace('"kinematics.csv"', '"empty.csv"'), "empty.csv: is not a valid table: "),
+    (TABLE.replace('"kinematics.csv"', '"latin.csv"'), "latin.csv: is not a valid table: "),
     (TABLE.replace('"kinematics.csv"', '"outside.csv"'), "found 'outside.csv', expected a file in or below the folder"),
 ]  # fmt: skip
 
@@ -222,6 +223,7 @@ def bad(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     (data / "long.csv").write_text("\n".join([*lines, *twice]), "utf-8")
     (data / "uneven.csv").write_text("\n".join([*lines, "1,2"]), "utf-8")
     (data / "empty.csv").write_text("", "utf-8")
+    (data / "latin.csv").write_bytes(b"t\xe4gliche," + "\n".join(lines).encode())
     outside = tmp_path_factory.mktemp("outside") / "kinematics.csv"
     outside.write_text("\n".join(lines), "utf-8")
     (data / "outside.csv").symlink_to(outside)

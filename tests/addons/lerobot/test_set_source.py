@@ -235,6 +235,12 @@ def line(name: str, number: int, text: str) -> Callable[[Path], None]:
     return write
 
 
+def change_bytes(path: Path, old: bytes, new: bytes) -> None:
+    data = path.read_bytes()
+    assert old in data
+    path.write_bytes(data.replace(old, new))
+
+
 def rotated(values: list[float]) -> list[float]:
     return [*values[:2], values[1], *values[3:]]
 
@@ -245,6 +251,7 @@ BAD: list[tuple[str, Callable[[Path], Any], str]] = [
     ("no video", lambda root: (root / VIDEO).unlink(), f"set: found no {VIDEO}, expected the 4 files of 2 episodes"),
     ("no metadata", lambda root: (root / "meta" / "tasks.jsonl").unlink(), "tasks.jsonl: No such file"),
     ("half a video", lambda root: (root / VIDEO).write_bytes((root / VIDEO).read_bytes()[:900]), "episode_000001.mp4:"),
+    ("codec", lambda root: change_bytes(root / VIDEO, b"avc1", b"zzzz"), "01.mp4: found a video of an unknown codec"),
     (
         "short video",
         lambda root: shutil.copy(root / "short.mp4", root / VIDEO),
