@@ -62,7 +62,8 @@ def _table(report: RecordingDiff) -> list[tuple[str, ...]]:
     title = ("stream", "A", "B", "missing", "extra", "different", "mm", "deg", "offset", "jitter")
     found = [(stream, _row(stream, report)) for stream in sorted(report.streams, key=_order)]
     columns = [0, 1, 2, *(at for at in range(3, len(title)) if any(row[at] for _, row in found))]
-    rows, side = [title], ""
+    rows: list[tuple[str, ...]] = [title]
+    side = ""
     for stream, row in found:
         if stream.kind != side and stream.stream:
             rows.append((_SIDES.get(stream.kind, stream.kind), *[""] * (len(title) - 1)))
