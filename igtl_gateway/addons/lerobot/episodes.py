@@ -14,7 +14,8 @@ import numpy.typing as npt
 from igtl_gateway.addon import NS_PER_S, ConfigError, matches
 from igtl_gateway.addon.reading import Recording
 from igtl_gateway.addons.lerobot.recipe import Cuts, Recipe
-from igtl_gateway.addons.lerobot.samples import JoinedStreams, columns_of, stream_of
+from igtl_gateway.addons.lerobot.samples import JoinedStreams, stream_of
+from igtl_gateway.addons.lerobot.values import columns_of
 
 Times = npt.NDArray[np.int64]
 

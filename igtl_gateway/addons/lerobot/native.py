@@ -15,7 +15,7 @@ from pyarrow import parquet
 from igtl_gateway.addon.reading import Recording
 from igtl_gateway.addon.writing import make_folder, open_new
 from igtl_gateway.addons.lerobot.frames import Plan
-from igtl_gateway.addons.lerobot.samples import Times, recorded_numbers, recorded_stamps, stamps_of
+from igtl_gateway.addons.lerobot.samples import Times, recorded_stamps, stamps_of
 
 #: Folder of the tables, in ``meta`` and in a part.
 NATIVE = "native"
@@ -42,15 +42,13 @@ def native_of(name: str, session: int) -> str:
 def native_table(recording: Recording, plan: Plan, index: int) -> pa.Table:
     """Return all messages of a row, in the order of the recording; see ``docs/how-to/lerobot.md`` for the columns."""
     samples = plan.samples[index]
-    assert samples is not None
+    assert samples is not None and samples.recorded is not None
     row = samples.row
     stream = recording[row.stream]
-    rows, numbers, recorded, good = recorded_numbers(stream, row)
-    order = [recorded.index(each) for each in samples.recorded_names]
-    values = np.full((len(stream), len(order)), np.nan)
-    values[rows] = numbers[:, order]
+    values = np.full((len(stream), len(samples.names)), np.nan)
+    values[samples.recorded.rows] = samples.recorded.numbers
     usable = np.zeros(len(stream), np.bool_)
-    usable[good] = True
+    usable[samples.rows] = True
     times = stamps_of(stream, row, plan.joined)
     if samples.correction is not None:
         times = samples.correction.corrected(times)

@@ -138,7 +138,7 @@ def _stream(facts: Facts) -> dict[str, Any]:
     return {
         "feature": row.name, "stream": row.stream, "rule": row.rule, "messages": facts.samples.count,
         "unusable": facts.samples.unusable, "used": facts.used, "interpolated": facts.interpolated, "held": facts.held,
-        "within": facts.within, "rate_hz": facts.rate_hz, "furthest_ms": facts.furthest_ms,
+        "native": row.native, "within": facts.within, "rate_hz": facts.rate_hz, "furthest_ms": facts.furthest_ms,
         "outside": pictures.outside / pictures.pixels if pictures and pictures.pixels else 0.0,
     }  # fmt: skip
 

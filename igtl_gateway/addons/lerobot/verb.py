@@ -255,7 +255,7 @@ def _print_streams(facts: Sequence[Mapping[str, Any]]) -> None:
 def _sparse(facts: Sequence[Mapping[str, Any]], fps: int) -> list[dict[str, Any]]:
     """The streams of which the frames have few messages, because others have fewer."""
     return [
-        {**{name: each[name] for name in ("feature", "stream", "rate_hz", "used", "within")}, "fps": fps}
+        {**{name: each[name] for name in ("feature", "stream", "rate_hz", "used", "within", "native")}, "fps": fps}
         for each in facts
         if each["rate_hz"] > fps and each["used"] * _SPARSE < each["within"]
     ]
@@ -278,6 +278,8 @@ def _losses(facts: Sequence[Mapping[str, Any]], fps: int) -> Iterator[str]:
             text = f"{usable - each['used']:,} of {count_text(usable, 'string')} in no frame: outside of the episodes"
             yield f"{each['stream']}: {text}{more}"
     for each in _sparse(facts, fps):
+        if each["native"]:  # a table has all of them
+            continue
         more = "" if each["feature"].startswith(IMAGES) else ", native = true all"
         yield (
             f"{each['stream']} has {each['rate_hz']:,.4g} Hz, the frames {fps}: {each['used']:,} of "

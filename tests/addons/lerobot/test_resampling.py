@@ -14,7 +14,8 @@ import pandas as pd
 
 from igtl_gateway.addons.lerobot.recipe import Feature
 from igtl_gateway.addons.lerobot.resampling import Picks, coverage, frame_count, moments, pick
-from igtl_gateway.addons.lerobot.samples import Samples, orientation
+from igtl_gateway.addons.lerobot.samples import Samples
+from igtl_gateway.addons.lerobot.values import orientation
 from tests.addons.lerobot.sessions import BEGIN_NS
 from tests.tables import table
 
