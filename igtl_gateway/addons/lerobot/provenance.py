@@ -53,8 +53,8 @@ def exported_episodes(root: Path, listed: SessionList) -> list[ExportedEpisode]:
             raise DamagedRecording(f"{place}: episode_index: found no numbers, expected them")
         numbers = matrix_of(table, "episode_index")[:, 0]
         firsts = np.flatnonzero(np.diff(numbers, prepend=-1))
-        expected = listed.others + len(found) + np.arange(each.episodes)
-        if not np.array_equal(numbers[firsts], expected):
+        first = listed.others + len(found)
+        if len(firsts) != each.episodes or not np.array_equal(numbers[firsts], np.arange(first, first + len(firsts))):
             raise DamagedRecording(
                 f"{place}: episode_index: found other episodes, expected the {count_text(each.episodes, 'episode')} "
                 f"of meta/{SESSIONS}"
