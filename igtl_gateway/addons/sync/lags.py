@@ -12,9 +12,19 @@ import numpy.typing as npt
 
 from igtl_gateway.addon import NS_PER_S, ConfigError, DamagedRecording, GatewayError
 from igtl_gateway.addon.messages import frames_of
+from igtl_gateway.addon.processes import part_of
 from igtl_gateway.addon.reading import Kind, RecordedMessage, Stream
+from igtl_gateway.addon.ros import (
+    CompressedImage,
+    CompressedVideo,
+    Marker,
+    PointCloud2,
+    PointList,
+    PointStamped,
+    TFMessage,
+    Volume,
+)
 from igtl_gateway.addon.ros import Image as RosImage
-from igtl_gateway.addon.ros import Marker, PointCloud2, PointList, PointStamped, TFMessage, Volume
 from igtl_gateway.addon.streams import NAME_FIELDS, by_name, completed
 from igtl_gateway.addon.terminal import count_text, counted
 from igtl_gateway.addons.sync.defaults import CUT_OFF_HZ
@@ -37,6 +47,8 @@ _TOOL_M = 0.1
 #: Fields of messages that count or name something, and the most numbers of one message that are compared.
 _NOT_MOVING = frozenset({"header", "stamp", "unit", "id", "status", "layout", "encoding"})
 _MOST_NUMBERS = 64
+#: Types with encoded pictures: decoding them takes long, so they are measured where they are named.
+_ENCODED = frozenset({"VIDEO", CompressedImage.TYPE, CompressedVideo.TYPE})
 #: Numbers of joints, of which the first that a topic has moves; the longest time between two values of a joint.
 _OF_JOINTS = ("position", "velocity", "effort")
 _LONGEST_NS = NS_PER_S
@@ -135,6 +147,7 @@ def movements(
     """Return what moves in each input stream that has something that could move; unreadable streams → why.
 
     The first one is the reference of the others: of the streams that move and turn round, that with most samples.
+    Encoded pictures are left out.
 
     Of more than 100 streams, those with too few samples are left out.
 
@@ -142,7 +155,8 @@ def movements(
         GatewayError: more than 100 are left.
     """
     found, unreadable = [], {}
-    inputs = [stream for each in recordings for stream in each.values() if Kind(stream.direction).is_input]
+    every = (stream for each in recordings for stream in each.values())
+    inputs = [each for each in every if Kind(each.direction).is_input and each.type not in _ENCODED]
     if len(inputs) > _MOST_STREAMS:
         inputs = [stream for stream in inputs if stream.count >= LEAST_SAMPLES]
     if len(inputs) > _MOST_STREAMS:
@@ -205,6 +219,16 @@ def _of_images(stream: Stream, line: bool) -> tuple[Array, str]:
     if line:
         return np.array([line_height(picture) for picture in pictures]), "px"
     return picture_components(pictures), ""
+
+
+def _of_encoded(stream: Stream, line: bool) -> tuple[Array, str]:
+    """The same of encoded pictures, which the add-on ``lerobot`` decodes; NaN where there is none."""
+    pictures = part_of("lerobot", "pictures:Pictures")(stream)
+    grey = (pictures.rgb(index).mean(axis=2) for index in pictures.usable.tolist())
+    values = np.array([line_height(each) for each in grey]) if line else picture_components(grey)
+    found = np.full((len(stream), *values.shape[1:]), np.nan)
+    found[pictures.usable] = values
+    return found, "px" if line else ""
 
 
 def picture_components(pictures: Iterable[Array]) -> Array:
@@ -299,5 +323,6 @@ def _numbers(content: Any) -> list[float]:
 #: Types → what moves in them; other types have poses or numbers.
 _READERS: tuple[tuple[frozenset[str], Callable[[Stream, bool], tuple[Array, str]]], ...] = (
     (frozenset({"IMAGE", RosImage.TYPE, Volume.TYPE}), _of_images),
+    (_ENCODED, _of_encoded),
     (frozenset({"POINT", "POLYDATA", PointCloud2.TYPE, PointList.TYPE, Marker.TYPE, PointStamped.TYPE}), _of_clouds),
 )

@@ -16,7 +16,7 @@ import pytest
 import igtl_gateway
 from igtl_gateway.addons.lerobot.video import VideoFile
 from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.cli import main
+from igtl_gateway.cli import FAILURE, main
 from tests.addons.lerobot.sessions import bars
 from tests.places import ROOT
 from tests.tables import table
@@ -158,6 +158,43 @@ def test_frames_that_need_later_ones_are_decoded(data: Path, tmp_path: Path) -> 
         assert np.array_equal([each.array[0] for each in found.images()], pictures(folder / "left.mp4"))
         steps = np.diff(found.source_times)
         assert np.abs(steps - NS_PER_S / FPS).max() <= 1
+
+
+def test_sync_measures_how_late_a_video_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A wall becomes darker and brighter as the tool moves, and the video begins 0.12 s late."""
+    video, rows = VideoFile(tmp_path / "v.mp4", (32, 32), 12, "h264"), ["x,y,z,a,b,c,d"]
+    for number in range(200):
+        at = number / 12
+        height = np.sin(2.1 * at) + 0.7 * np.sin(3.7 * at + 1) + 0.4 * np.sin(0.21 * at * at)
+        picture = 128 + 50 * height * np.linspace(0, 1, 32)
+        video.add(
+            np.ascontiguousarray(np.broadcast_to(picture[:, np.newaxis, np.newaxis], (32, 32, 3)).astype(np.uint8))
+        )
+        rows.append(f"{height / 50},0,0,0,0,0,1")
+    video.close()
+    (tmp_path / "t.csv").write_text("\n".join(rows), "utf-8")
+    text = """\
+[[video]]
+file = "v.mp4"
+name = "/camera"
+start = 0.12
+[[table]]
+file = "t.csv"
+rate = 12
+[[table.pose]]
+name = "/tool"
+position = ["x", "y", "z"]
+unit = "m"
+quaternion = ["a", "b", "c", "d"]
+"""
+    session = imported(tmp_path, text, tmp_path / "s.mcap")
+    capsys.readouterr()
+    assert main(["sync", str(session), "/tool", "/camera", "--json"]) == 0
+    [lag] = json.loads(capsys.readouterr().out)["lags"]
+    assert (lag["verdict"], lag["samples"] > 150) == ("measured", True)
+    assert lag["lag_s"] == pytest.approx(0.12, abs=0.01)
+    assert main(["sync", str(session)]) == FAILURE  # without names, encoded pictures are not decoded
+    assert "found 1 stream in which something could move" in capsys.readouterr().err
 
 
 def test_rows_without_a_value_are_counted(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
