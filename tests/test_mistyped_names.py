@@ -115,6 +115,8 @@ ELSEWHERE = {
     ).split()),
     # with real programs: tests/addons/resim/test_quiet.py
     "resim --output", "resim --without",
+    # with a data set: tests/addons/lerobot/test_tracing.py
+    "export --feature",
     # a new name, a rule of ages, a date
     "mark --who", "keep --retention", "retain --retention", "upload --retention", "import --epoch",
     # closed lists that argparse checks

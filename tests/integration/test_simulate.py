@@ -82,5 +82,5 @@ def test_one_side_alone_says_for_whom_it_waits(tmp_path: Path) -> None:
     finally:
         program.close()
     assert result.code == 1
-    assert "acquisition: FAILED (interrupted), 0.0 s" in result.out
+    assert "acquisition: FAILED (interrupted), 0 s" in result.out
     assert programs_with(mark) == []

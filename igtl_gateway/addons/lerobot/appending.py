@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.addon import ConfigError, DamagedRecording, UnsupportedRecording
-from igtl_gateway.addon.untrusted import check_limit, printable, read_bytes, read_parquet_schema
-from igtl_gateway.addon.writing import make_folder, replaced_folder
+from igtl_gateway.addon.untrusted import check_limit, open_file, printable, read_bytes, read_parquet_schema
+from igtl_gateway.addon.writing import make_folder, open_new, replaced_folder
 from igtl_gateway.addons.lerobot.assembling import SetSoFar
 from igtl_gateway.addons.lerobot.checksums import read_checksums
 from igtl_gateway.addons.lerobot.export import Batch, Exported, Runner, check_schema, describe, here, write_batch
@@ -255,7 +255,8 @@ def _link(old: Path, new: Path) -> None:
             try:
                 os.link(path, target / name)
             except OSError:
-                shutil.copy2(path, target / name)
+                with open_file(path) as source, open_new(target / name) as copy:
+                    shutil.copyfileobj(source, copy)
 
 
 def _raise(error: OSError) -> None:
