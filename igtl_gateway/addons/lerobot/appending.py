@@ -87,6 +87,10 @@ def append_sessions(paths: Sequence[Path], recipe_path: Path | None, out: Path, 
 
 def _read(root: Path) -> _Old:
     """Read what a set has.  Raises GatewayError unless it is whole, as far as its metadata state."""
+    if not (root / "meta" / "info.json").is_file():
+        raise ConfigError(
+            f"{root}: found no meta/info.json in it, expected a data set; without --append it is a new one"
+        )
     info, listed = read_info(root), read_session_list(root)
     check_limit("count", info["total_episodes"], f"{root}/meta/info.json: episodes")
     tasks = read_tasks(root, info["codebase_version"])

@@ -129,13 +129,13 @@ def export_set(options: argparse.Namespace, files: Sequence[Path], do: Runner | 
     recipe = options.recipe or options.output / "meta" / "recipe.toml"
     try:
         done = write(files, options.recipe, options.output, do or here)
-    except OSError as error:
-        raise write_error(options.output, error) from None
     except GatewayError as error:
         text = str(error)
         places = [str(place) for file in files for place in (file, file.absolute())]
-        known = str(recipe), *places, str(options.output), "cannot write"
+        known = str(recipe), *places, str(options.output), "cannot write", "the data set"
         raise type(error)(text if text.startswith(known) else f"{recipe}: {text}") from None
+    except OSError as error:
+        raise write_error(options.output, error) from None
     if len(files) == 1:
         _print_one(options, files[0], done)
     else:

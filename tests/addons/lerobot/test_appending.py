@@ -235,7 +235,7 @@ VIDEO = "videos/observation.images.view/chunk-000/file-001.mp4"
 HALF: list[tuple[Callable[[Path], Any], str]] = [
     (lambda root: half(root, VIDEO), f"found no {VIDEO}, which SHA256SUMS has"),
     (lambda root: half(root, "meta/SHA256SUMS"), "SHA256SUMS: No such file"),
-    (lambda root: half(root, "meta/info.json"), "info.json: No such file"),
+    (lambda root: half(root, "meta/info.json"), "found no meta/info.json in it, expected a data set"),
     (lambda root: half(root, "meta/recipe.toml"), "found no meta/recipe.toml"),
     (lambda root: half(root, "meta/sessions.json"), "found meta/recipe.toml without meta/sessions.json"),
     (lambda root: (root / "data" / "more.parquet").touch(), "found data/more.parquet, which SHA256SUMS lacks"),
