@@ -158,7 +158,7 @@ def _episodes(found: FoundDataSet, stats: StatsCheck, deadline: Deadline) -> Ite
         if table is not None and episode.length <= longest(found.info["fps"]):
             yield from (f"{place}: {each}" for each in _columns(found, table))
             yield from (f"{place}: {each}" for each in _own_columns(found, episode, table, first))
-            yield from (f"{place}: {each}" for each in check_images(found, episode, table, stats, deadline))
+            yield from check_images(found, episode, table, stats, deadline)
         yield from stats.numbers(episode, table)
         first += episode.length
     yield from check_videos(found, stats)

@@ -31,15 +31,16 @@ def check_images(
     for name, feature in found.info["features"].items():
         if feature["dtype"] != IMAGE or name not in table.schema.names or table[name].type != IMAGE_COLUMN:
             continue
+        place = f"episode {episode.index}: {name}"
         cells = [each for chunk in table[name].chunks for each in chunk.field("bytes")]
         wrong = [row for row, cell in enumerate(cells) if not cell.is_valid or _form(cell) is None]
         if wrong:
             more = f" ({count_text(len(wrong), 'frame')})" if wrong[1:] else ""
-            yield f"{name}: frame {wrong[0]}: found no PNG, JPEG or TIFF, expected one{more}"
+            yield f"{place}: frame {wrong[0]}: found no PNG, JPEG or TIFF, expected one{more}"
             continue
-        yield from (
-            f"{name}: {each}" for each in _decoded(cells, picture_size(feature), stats, episode, name, deadline)
-        )
+        seen = PictureStats()
+        damage = _decoded(cells, picture_size(feature), seen, place, deadline)
+        yield from [damage] if damage else stats.pictures(episode, name, seen)
 
 
 def _form(cell: Any) -> str | None:
@@ -47,24 +48,20 @@ def _form(cell: Any) -> str | None:
     return next((form for magic, form in _FORMS.items() if start.startswith(magic)), None)
 
 
-def _decoded(
-    cells: list[Any], size: tuple[int, int], stats: StatsCheck, episode: FoundEpisode, name: str, deadline: Deadline
-) -> Iterator[str]:
-    seen = PictureStats()
+def _decoded(cells: list[Any], size: tuple[int, int], seen: PictureStats, place: str, deadline: Deadline) -> str:
+    """Add the pictures that count to ``seen``; return what is wrong in the first one that is not as it should be."""
     for row in sampled(len(cells)).tolist():
         form = _form(cells[row])
         if not form:
             break
-        deadline.check(f"episode {episode.index}: {name}")
+        deadline.check(place)
         try:
             picture = decoded_still(form, cells[row].as_py())
         except ConversionError as error:
-            yield f"frame {row}: {error}"
-            return
+            return f"{place}: frame {row}: {error}"
         if picture.shape[:2] != size:
             rows, columns = picture.shape[:2]
-            yield f"frame {row}: found {columns} × {rows} pixels, expected {size[1]} × {size[0]}"
-            return
+            return f"{place}: frame {row}: found {columns} × {rows} pixels, expected {size[1]} × {size[0]}"
         if picture.dtype == np.uint8:
             seen.add(picture)
-    yield from stats.pictures(episode, name, seen)
+    return ""

@@ -20,8 +20,9 @@ from igtl_gateway.addons.lerobot.pictures import Pictures, first_pixels, has_pic
 from igtl_gateway.addons.lerobot.recipe import ACTION, IMAGES, STATE, Feature, Recipe
 from igtl_gateway.addons.lerobot.recipe_file import toml_value
 from igtl_gateway.addons.lerobot.resampling import common, coverage, frame_count
-from igtl_gateway.addons.lerobot.samples import JoinedStreams, Samples, columns_of, read_samples
+from igtl_gateway.addons.lerobot.samples import JoinedStreams, Samples, read_samples
 from igtl_gateway.addons.lerobot.set_topics import SetTopics
+from igtl_gateway.addons.lerobot.values import columns_of
 
 #: Words in the names of streams that carry commands (CRTK, and usual names).
 _COMMANDS = re.compile(r"(^|[/_])(servo|move|setpoint|goal|cmd|command|target)(_|/|$)", re.IGNORECASE)
