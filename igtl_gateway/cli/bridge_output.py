@@ -161,7 +161,9 @@ class TextOutput:
         for note in notes:
             print_line(f"             {note.partition(' (')[0]}")
         until = f", to ROS from {DISCOVERY_NS // NS_PER_S} s after the start on" if bridge.ros else ""
-        print_line(f"conversion   {f'in Python ({bridge.native_off})' if bridge.native_off else f'in C{until}'}")
+        print_line(
+            f"conversion   {f'slower, in Python ({bridge.native_off})' if bridge.native_off else f'fast, in C{until}'}"
+        )
         print_line(f"recording    {bridge.options.record or 'off (--record FILE)'}")
         if rules := bridge.options.recording.triggers:
             print_line(f"black box    by {', '.join(map(str, rules))}")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.base.errors import BeingRecorded, ConfigError, DamagedRecording, GatewayError, LimitExceeded
+from igtl_gateway.base.natural import natural
 from igtl_gateway.base.quantities import count_text, duration_text, moment_text, rate_text, size_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.numbers import whole_number
@@ -250,9 +251,9 @@ def _part(part: PartSummary) -> dict[str, Any]:
     }
 
 
-def _order(item: tuple[tuple[Kind, str, str], StreamSummary]) -> tuple[int, str, str]:
+def _order(item: tuple[tuple[Kind, str, str], StreamSummary]) -> tuple[int, list[tuple[int, str]], str]:
     kind, channel, type_name = item[0]
-    return list(DIRECTIONS).index(kind), channel, type_name
+    return list(DIRECTIONS).index(kind), natural(channel), type_name
 
 
 def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: int) -> None:

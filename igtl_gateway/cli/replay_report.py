@@ -9,6 +9,7 @@ from typing import Any
 from igtl_gateway.app.replay_account import account_lines
 from igtl_gateway.app.replay_options import ReplayOptions
 from igtl_gateway.app.replaying import ReplayResult
+from igtl_gateway.base.natural import natural
 from igtl_gateway.base.quantities import count_text, size_text
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
 
@@ -34,7 +35,8 @@ def print_report(options: ReplayOptions, result: ReplayResult, *, as_json: bool)
             f"faults (seed {options.seed}): of {count_text(counts['messages'], 'message')}: {hit or 'none affected'}"
         )
     if result.streams:
-        rows = [("stream", "messages"), *((stream, f"{many:,}") for stream, many in sorted(result.streams.items()))]
+        streams = sorted(result.streams.items(), key=lambda item: natural(item[0]))
+        rows = [("stream", "messages"), *((stream, f"{many:,}") for stream, many in streams)]
         print_line(*aligned(rows))
     for line in account_lines(result.account) if result.account else ():
         print_line(line)

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from igtl_gateway.app.sealing import UNTIMED, SealVerification, verify_seal
 from igtl_gateway.app.verification import RECORDED, Verification, verify_parts, verify_recording
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.natural import natural
 from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.systems.processes import usable_cpus
 from igtl_gateway.cli.common import print_damaged_indexes, utc_text
@@ -146,7 +147,7 @@ def _print(result: Verification, everything: bool) -> None:
         print_line(f"DIFFERENT: {count_text(result.differing, 'output')} of {result.outputs:,}")
         for difference in result.firsts.values() if everything else result.differences[:1]:
             print_line(f"  {difference}")
-        for stream, number in sorted(result.by_stream.items()):
+        for stream, number in sorted(result.by_stream.items(), key=lambda item: natural(item[0])):
             print_line(f"  {stream}: {count_text(number, 'difference')}")
         if result.advice:
             print_line(f"outputs that are digests: {result.advice}")

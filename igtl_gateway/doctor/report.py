@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from igtl_gateway.base.natural import natural
 from igtl_gateway.base.quantities import count_text, rate_text
 from igtl_gateway.doctor.observations import ObservedStream
 from igtl_gateway.doctor.observer import Observer
@@ -86,7 +87,7 @@ class DoctorReport:
             )
             for stream in self.observed.streams.values()
         ]
-        return [("stream", "messages", "rate", ""), *sorted(rows)] if rows else []
+        return [("stream", "messages", "rate", ""), *sorted(rows, key=lambda row: natural(row[0]))] if rows else []
 
     def finding_lines(self) -> Iterator[str]:
         """Yield the lines of the findings, and the probable cause."""

@@ -117,7 +117,7 @@ def test_without_options_until_a_signal(programs: list[Program], tmp_path: Path,
     if default:
         assert "server on 127.0.0.1:18944" in shown
     assert f"recording    {path}" in shown
-    assert "conversion   in C, to ROS from 4 s after the start on" in shown or not is_compiled()
+    assert "conversion   fast, in C, to ROS from 4 s after the start on" in shown or not is_compiled()
     assert "published on /igtl/in/<device>/<kind>, poses also on /tf (mm -> m)" in shown
     assert "subscribed to /igtl/out/<device> (m -> mm)" in shown
     address = next(line for line in bridge.lines if "server on" in line).rpartition(":")[2]

@@ -16,6 +16,7 @@ from igtl_gateway.addon.terminal import (
     count_text,
     counted,
     file_name,
+    natural,
     print_json,
     print_line,
 )
@@ -124,6 +125,7 @@ def _next_step(options: argparse.Namespace) -> str:
 
 def _print(account: ExportAccount, options: argparse.Namespace) -> None:
     rows = [*account.rows, *(part for part in account.parts if part.left_out)]
+    rows.sort(key=lambda row: natural(row.stream))
     table: list[Sequence[str]] = [("  stream", "found", "exported", "left out", "")]
     for row in rows:
         numbers = (f"{number:,}" for number in (row.declared, row.taken, row.left_out))

@@ -15,6 +15,7 @@ from igtl_gateway.addon.settings import Config
 from igtl_gateway.addon.terminal import (
     aligned,
     count_text,
+    natural,
     print_json,
     print_line,
     size_text,
@@ -113,7 +114,7 @@ def row_facts(row: ImportedStream) -> dict[str, Any]:
 def print_rows(rows: Sequence[ImportedStream]) -> None:
     """Print the account as a table; rows that lack messages are marked."""
     table: list[Sequence[str]] = [("  stream", "found", "imported", "left out", "type")]
-    for row in rows:
+    for row in sorted(rows, key=lambda each: natural(each.stream)):
         numbers = (f"{number:,}" for number in (row.declared, row.taken, row.left_out))
         about = "; ".join(filter(None, (row.type or row.unit, row.why)))
         table.append((f"{' ' if row.good else '!'} {row.stream}", *numbers, about))

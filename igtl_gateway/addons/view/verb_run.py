@@ -49,6 +49,7 @@ from igtl_gateway.addon.terminal import (
     is_terminal,
     live_line,
     moment_text,
+    natural,
     print_json,
     print_line,
     size_text,
@@ -380,7 +381,7 @@ class _Progress:
 
 def _print(options: argparse.Namespace, path: Path, view: SessionView, facts: dict[str, Any]) -> None:
     rows: list[Sequence[str]] = [("topic", "messages", "shown as")]
-    for shown in view.seen.shown.values():
+    for shown in sorted(view.seen.shown.values(), key=lambda each: natural(each.topic)):
         note = "not drawn" if shown.ros_type in view.counts.without_picture else shown.what.value
         rows.append((shown.topic, f"{shown.count:,}", f"{note}, {shown.ros_type}"))
     if len(rows) > 1:
