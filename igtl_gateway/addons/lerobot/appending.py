@@ -36,7 +36,7 @@ from igtl_gateway.addons.lerobot.writing import PROVENANCE, RECIPE
 
 #: What may differ from the recipe of the set: no frame depends on it.
 _MAY_DIFFER = ("splits", "card", "rates", "measure_lags")
-_NUMBERS = re.compile(r"chunk-([0-9]{3,7})/file-([0-9]{3})\.(?:parquet|mp4)")
+_NUMBERS = re.compile(r"chunk-([0-9]{3,})/file-([0-9]{3})\.(?:parquet|mp4)")
 #: Files that no later session changes.
 _KEPT = re.compile(rf"data/.*|videos/.*|meta/(?:episodes|{NATIVE})/.*|meta/provenance[^/]*")
 
@@ -94,7 +94,7 @@ def _read(root: Path) -> _Old:
     info, listed = read_info(root), read_session_list(root)
     check_limit("count", info["total_episodes"], f"{root}/meta/info.json: episodes")
     tasks = read_tasks(root, info["codebase_version"])
-    if sorted(tasks) != list(range(info["total_tasks"])):
+    if len(tasks) != info["total_tasks"] or sorted(tasks) != list(range(len(tasks))):
         raise DamagedRecording(f"{root}/meta: found other tasks than info.json, expected {info['total_tasks']:,}")
     splits = owners_of(info["splits"], info["total_episodes"])
     if "" in splits or ranges_of(splits) != info["splits"]:
@@ -140,6 +140,12 @@ def _others(root: Path, info: Mapping[str, Any]) -> SessionList:
     for path in sorted(files):
         if not path.is_file():
             raise DamagedRecording(f"{path}: found no file, which episodes of the data set have, expected a whole set")
+    for folder in ("data", "videos"):
+        more = {path for path in (root / folder).rglob("*") if path.is_file()} - files
+        if more:
+            raise DamagedRecording(
+                f"{min(more)}: found a file of no episode, expected none: its name may be that of the next"
+            )
     return SessionList(others=len(found.episodes))
 
 

@@ -309,10 +309,10 @@ def _print_end(options: argparse.Namespace, done: Exported, clock: str) -> None:
         print_line("splits: " + ", ".join(f"{name} has the episodes {text}" for name, text in done.splits.items()))
     size, listed = _size(options, done), done.totals.sessions
     sessions = f" of {count_text(len(listed.sessions), 'session')}" if listed.sessions[1:] else ""
-    others = f" and {listed.others:,} of another program" if listed.others else ""
+    others = f", episodes of another program: {listed.others:,}" if listed.others else ""
     added = size.get("appended")
     added = f", of which {_in(added)} were appended" if added else ""
-    print_line(f"{options.output}: LeRobot {done.recipe.format}, {_in(size)}{sessions}{others}{added}, clock: {clock}")
+    print_line(f"{options.output}: LeRobot {done.recipe.format}, {_in(size)}{sessions}{added}{others}, clock: {clock}")
 
 
 def _in(size: Mapping[str, Any]) -> str:

@@ -104,7 +104,7 @@ def _check(path: Path) -> None:
         raise GatewayError(f"{path}: No such folder{near_file(path)}")
     if path.is_symlink() or not path.is_dir():
         raise GatewayError(f"cannot write to {path}: it is not a folder, expected one")
-    if path.is_mount():
+    if os.path.ismount(path):  # Path has it on Windows from Python 3.12 on only
         raise GatewayError(f"cannot write to {path}: it is a mount point, expected a folder in it")
     if Path.cwd().is_relative_to(path.resolve()):  # it would be the one that is removed
         raise GatewayError(f"cannot write to {path}: the working directory is in it, expected one outside of it")

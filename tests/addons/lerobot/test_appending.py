@@ -244,7 +244,8 @@ HALF: list[tuple[Callable[[Path], Any], str]] = [
     (lambda root: changed_info(root, total_frames=30), "meta/sessions.json: found other episodes than in info.json"),
     (lambda root: changed_info(root, splits={"train": "0:2"}), "found P02_a.mcap not in val"),
     (lambda root: changed_info(root, splits={"train": "0:2", "val": "1:2"}), "expected each episode once"),
-    (lambda root: changed_info(root, total_tasks=2), "found other tasks than info.json"),
+    (lambda root: changed_info(root, total_tasks=1 << 60), "found other tasks than info.json"),
+    (lambda root: changed_info(root, total_episodes=1 << 60), "episodes"),
     (lambda root: changed_sessions(root, lambda value: value["rows"].pop()), "rows: found other rows"),
     (lambda root: changed_sessions(root, lambda value: value["sessions"].pop()), "found other episodes than"),
     (lambda root: parquet.write_table(parquet.read_table(root / "data/chunk-000/file-000.parquet").slice(1),
@@ -332,6 +333,7 @@ FOREIGN: list[tuple[Callable[[Path], Any], str]] = [
     (lambda root: other_rows(root, action={"dtype": "float32", "shape": [7], "names": list("abcdefg")}),
      'action: names: found ["x", "y"'),
     (lambda root: half(root, "meta/stats.json"), "stats.json: No such file"),
+    (lambda root: (root / "data" / "chunk-000" / "file-002.parquet").touch(), "found a file of no episode"),
     (lambda root: half(root, VIDEO), "expected a whole set"),
     (lambda root: (root / "meta" / "stats.json").write_text("{}"), "found no mean, std and count of pictures"),
 ]  # fmt: skip
