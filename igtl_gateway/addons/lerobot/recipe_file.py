@@ -277,8 +277,8 @@ def _check_features(recipe: Recipe) -> None:
             raise ConfigError(f"{place}: found {counted(len(recipe.rows(row.name)), 'row')}, expected one")
         if (row.lag == "measured") != bool(row.against) or (row.lag and row.lag_ms):
             raise ConfigError(f'{place}: expected lag = "measured" with against, and without lag_ms')
-        if row.rule == "none" and row.fill == "hold":
-            raise ConfigError(f'{place}: found fill = "hold" with rule = "none", expected no fill')
+        if row.rule == "none" and (row.fill != "cut" or row.tolerance_ms not in (None, Feature("").tolerance_ms)):
+            raise ConfigError(f'{place}: found fill or tolerance_ms with rule = "none", expected none of them')
         if row.fill == "hold" and row.tolerance_ms is None:
             raise ConfigError(
                 f'{place}: found fill = "hold" without a tolerance, expected tolerance_ms in milliseconds'

@@ -56,6 +56,15 @@ def test_a_good_one(tmp_path: Path) -> None:
             {"feature1": GOOD["feature]"] + '\nrule = "cubic"'},
             "feature[0].rule: found 'cubic', expected one of nearest",
         ),
+        ({"feature1": GOOD["feature]"] + '\nrule = "none"\ntolerance_ms = 50'}, 'tolerance_ms with rule = "none"'),
+        ({"feature1": GOOD["feature]"] + '\nrule = "none"\nfill = "hold"'}, 'tolerance_ms with rule = "none"'),
+        (
+            {
+                "feature1": GOOD["feature]"]
+                + '\n[[feature]]\nname = "observation.images.a"\nstream = "a"\nnative = true'
+            },
+            "feature[1] (observation.images.a).native: found it for a picture",
+        ),
         ({"feature1": GOOD["feature]"] + '\nlag = "measured"'}, 'expected lag = "measured" with against'),
         (
             {"feature1": GOOD["feature]"] + "\nwindow = [3, 1]"},
