@@ -11,12 +11,14 @@ from typing import Any
 import pytest
 
 from igtl_gateway.app import bridge_options
+from igtl_gateway.app.passage import NATIVE_PASSAGE
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli import bridge, bridge_output
 from igtl_gateway.cli.settings import settled
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.notations import peer_address
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.reports import RecordingSummary
 
 
@@ -95,3 +97,29 @@ def test_the_last_line_names_the_files_that_are_there(
     output: Any = bridge_output.TextOutput(terminal=False)
     output.stopped(bridge, watch)
     assert f"recorded 7 entries to {where} (2.0 kB)\n" in capsys.readouterr().out
+
+
+def test_the_end_repeats_the_words_of_faults_and_no_codes(capsys: pytest.CaptureFixture[str]) -> None:
+    bridge: Any = SimpleNamespace(tcp=SimpleNamespace(refused=dict), summary=None, uploads=None, losses={})
+    output: Any = bridge_output.TextOutput(terminal=False)
+
+    def note(level: Level, code: str, text: str, stream: str, **data: object) -> None:
+        output.events([SimpleNamespace(note=Note(level, code, text, stream, data), links=(), more=0)])
+
+    for stream in ("P10", "P2"):
+        for age in (2, 3):
+            note(Level.ERROR, "stale", f"{stream} is stale: messages are {age} s old", stream)
+            note(Level.INFO, "fresh", f"{stream} is recent again", stream)
+    for way, is_native in (("fast", True), ("slower", False), ("fast", True)):
+        note(Level.INFO, NATIVE_PASSAGE, f"P2 takes the {way} way", "P2", native=is_native)
+    shown = capsys.readouterr().out
+    assert shown.count("recent again") == 4 and shown.count("is stale") == 2
+    assert [line for line in shown.splitlines() if "way" in line] == [
+        "= P2 takes the slower way",
+        "= P2 takes the fast way",
+    ]
+    output.stopped(bridge, SimpleNamespace(counts=Counter(), refused=0))
+    assert [line for line in capsys.readouterr().out.splitlines() if "times" in line] == [
+        "  2 times: P2 is stale: messages are 2 s old",
+        "  2 times: P10 is stale: messages are 2 s old",
+    ]
