@@ -57,7 +57,7 @@ def tune_malloc() -> str:
         done.append(f"{name}={value}" if value is not None else f"{name} refused")
         if value is not None and option in (_M_TRIM_THRESHOLD, _M_TOP_PAD):
             _keeping[option] = value
-    return f"malloc: keeps large blocks ({', '.join(done)})"
+    return f"memory: freed blocks of large messages are kept (malloc: {', '.join(done)})"
 
 
 def _why_keep(environ: Mapping[str, str]) -> str:

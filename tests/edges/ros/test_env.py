@@ -77,7 +77,7 @@ def test_allocator_keeps_large_blocks() -> None:
     assert f"{settings}, M_ARENA_MAX=2" in lines[1]
     assert fresh <= 4
     lines, _, _ = prepare(MALLOC_ARENA_MAX="1")
-    assert lines[1] == f"malloc: keeps large blocks ({settings})"
+    assert lines[1] == f"memory: freed blocks of large messages are kept (malloc: {settings})"
     lines, _, fresh_before = prepare(MALLOC_TRIM_THRESHOLD_="131072", MALLOC_MMAP_THRESHOLD_="131072")
     assert lines[1] == "malloc: kept the user's (MALLOC_MMAP_THRESHOLD_=131072)"
     assert fresh_before >= 8
