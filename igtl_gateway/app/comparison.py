@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.base.quantities import counted
+from igtl_gateway.base.quantities import count_text, counted
 from igtl_gateway.record.sessionfile.columns import Unfit
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import LeafDecoder, Tolerance
 from igtl_gateway.replay.diff import DiffInput, StreamDiff, diff
 from igtl_gateway.replay.recorded_config import config_to_run, units_of
-from igtl_gateway.replay.source import check_recorded, without_messages
+from igtl_gateway.replay.source import check_recorded, matches_any, without_messages
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +28,7 @@ class RecordingDiff:
         stamp_offset_ns: most frequent offset of the stamps in the messages of the other recording.
         offset_ns: mean offset of its gateway times.
         by_entry: the recordings that could not be read in columns, only entry by entry: those of older versions.
+        unread: topics that are not compared because they cannot be read, and why.
     """
 
     one: Path
@@ -36,6 +37,7 @@ class RecordingDiff:
     stamp_offset_ns: int
     offset_ns: float
     by_entry: tuple[Path, ...] = ()
+    unread: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         different = [stream.stream or stream.kind for stream in self.streams if not stream.equal]
@@ -59,6 +61,8 @@ class RecordingDiff:
         }
         if self.by_entry:
             facts["by_entry"] = [str(path) for path in self.by_entry]
+        if self.unread:
+            facts["unread"] = list(self.unread)
         found: dict[str, Any] = _json_value(facts)
         return found
 
@@ -93,8 +97,14 @@ def compare_sessions(
     if streams and not report.streams:  # nothing compared is not equal
         raise ConfigError(f"streams: found {', '.join(map(repr, streams))}, expected a stream of one of the recordings")
     by_entry = tuple(file.path for file, side in zip((one, other), sides, strict=True) if side.columns is None)
+    unread = tuple(
+        f"{file.path}: {each.topic}: {count_text(each.count, 'message')}, {each.why}"
+        for file in (one, other)
+        for each in file.skipped
+        if each.count and matches_any(each.topic, streams)
+    )
     return RecordingDiff(
-        one.path, other.path, tuple(report.streams), report.stamp_offset_ns, report.offset_ns, by_entry
+        one.path, other.path, tuple(report.streams), report.stamp_offset_ns, report.offset_ns, by_entry, unread
     )
 
 

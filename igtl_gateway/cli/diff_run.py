@@ -45,8 +45,11 @@ def _print(options: argparse.Namespace, report: RecordingDiff) -> None:
     for stream in report.streams:
         for line in _places(stream):
             print_line(f"{_name(stream)}: {line}")
+    for line in report.unread:
+        print_line(f"not compared: {line}")
     wrong = sum(not stream.equal for stream in report.streams)
-    print_line("equal" if report.equal else f"DIFFERENT: {count_text(wrong, 'stream')} of {len(report.streams):,}")
+    equal = "what is compared is equal" if report.unread else "equal"
+    print_line(equal if report.equal else f"DIFFERENT: {count_text(wrong, 'stream')} of {len(report.streams):,}")
 
 
 def _name(stream: StreamDiff) -> str:

@@ -11,6 +11,7 @@ import pytest
 from mcap.writer import Writer
 
 from igtl_gateway.cli import main
+from igtl_gateway.convert.rosmsg import String
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
@@ -90,3 +91,21 @@ def test_a_tolerance_that_is_none_is_refused(options: list[str], capsys: pytest.
 def test_what_is_no_recording_is_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["diff", str(TYPES), str(tmp_path / "nothing.mcap")]) == 2
     assert "nothing.mcap" in capsys.readouterr().err
+
+
+def test_a_topic_that_cannot_be_read_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mixed.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2")
+        text = writer.register_channel("/text", "cdr", writer.register_schema(String.TYPE, "ros2msg", b"string data"))
+        data = writer.register_channel("/data", "json", writer.register_schema("x.Data", "jsonschema", b"{}"))
+        writer.add_message(text, 10**18, String("a").pack(), 10**18)
+        writer.add_message(data, 10**18 + 1, b"{}", 10**18 + 1)
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert main(["diff", str(path), str(path)]) == 0
+    said = capsys.readouterr().out
+    assert said.count("mixed.mcap: /data: 1 message, found encoding 'json', expected 'cdr'") == 2
+    assert said.endswith("what is compared is equal\n")
+    assert main(["diff", str(path), str(path), "--streams", "/text"]) == 0
+    assert capsys.readouterr().out.endswith("\nequal\n")
