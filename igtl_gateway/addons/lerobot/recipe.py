@@ -13,10 +13,11 @@ RULES = ("nearest", "hold", "interpolate", "none")
 FILLS = ("cut", "hold")
 ORIENTATIONS = ("quaternion", "rotation_vector", "rotation_6d", "none")
 CUTS = ("whole", "ranges", "markers", "notes", "marks", "gap", "still")
-IMAGES = "observation.images."
+IMAGES, OBSERVATION = "observation.images.", "observation."
 STATE, ACTION = "observation.state", "action"
-#: Columns that every data set has; no feature can have these names.
+#: Columns of a recipe with ``stamps``.
 TIME, STAMPS = "time_ns", "stamp_ns"
+#: Columns that every data set has; no feature can have these names.
 OWN_COLUMNS = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 
 

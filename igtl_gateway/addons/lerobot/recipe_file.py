@@ -32,7 +32,7 @@ from igtl_gateway.addons.lerobot.recipe import (
 )
 from igtl_gateway.addons.lerobot.splits import PATIENT
 
-_FEATURE = re.compile(r"(action|observation)(\.[A-Za-z0-9_-]+)*")
+_FEATURE = re.compile(r"(?:action|observation|meta(?=\.))(?:\.[A-Za-z0-9_-]+)*")
 MAX_FPS, _MAX_MS, _MAX_TEXT = 1000, 3_600_000, 2000
 #: Largest depth that readers give in whole mm.
 _MAX_DEPTH_MM = 65_535
@@ -117,7 +117,7 @@ _DATASET: dict[str, Check] = {
 _FEATURES: dict[str, Check] = {
     "name": (
         lambda value: isinstance(value, str) and is_feature_name(value),
-        "action, observation.state, observation.images.VIEW or another name below action. or observation.",
+        "action, observation.state, observation.images.VIEW or another name below action., observation. or meta.",
     ),
     "stream": (_foreign, f"a string of 1 to {_MAX_TEXT} characters"),
     "frame": (_foreign, f"a string of 1 to {_MAX_TEXT} characters"),

@@ -16,7 +16,7 @@ from igtl_gateway.addon.terminal import aligned, count_text, print_json, print_l
 from igtl_gateway.addon.untrusted import printable
 from igtl_gateway.addon.writing import check_target, write_error, write_text, written
 from igtl_gateway.addons.lerobot.options import LEROBOT
-from igtl_gateway.addons.lerobot.recipe import IMAGES
+from igtl_gateway.addons.lerobot.recipe import IMAGES, OBSERVATION
 from igtl_gateway.addons.lerobot.trace_verb import OF_TRACE, run_trace
 
 if TYPE_CHECKING:
@@ -156,12 +156,13 @@ def _print_one(options: argparse.Namespace, file: Path, done: Exported) -> None:
                 "notes": found["notes"], "demonstrations": found["demonstrations"], "empty": found["empty"],
                 "cuts": len(found["owners"]) - len(set(found["owners"])), "splits": done.splits,
                 "left_out": found["left_out"], "streams": found["streams"],
-                "sparse": _sparse(found["streams"], recipe.fps),
+                "sparse": _sparse(found["streams"], recipe.fps), "strings": _strings(done),
             }
         )  # fmt: skip
         return
     _print_streams(found["streams"])
     _print_losses(found["streams"], recipe.fps)
+    _print_strings(done)
     for note in found["notes"]:
         print_line(f"note: {note}")
     _print_left_out(found["left_out"])
@@ -188,7 +189,7 @@ def _print_many(options: argparse.Namespace, done: Exported) -> None:
                 "files": [each.session.path for each in done.parts], "to": LEROBOT, "out": str(options.output),
                 "format": done.recipe.format, "clock": clock, **_size(options, done), "written": done.files,
                 "splits": done.splits, "left_out": dict(left_out), "sessions": rows, "streams": streams,
-                "sparse": _sparse(streams, done.recipe.fps),
+                "sparse": _sparse(streams, done.recipe.fps), "strings": _strings(done),
             }
         )  # fmt: skip
         return
@@ -202,6 +203,7 @@ def _print_many(options: argparse.Namespace, done: Exported) -> None:
         print_line(f"  {len(rows) - _SESSIONS:,} more sessions: {options.output}/meta/sessions.json")
     _print_streams(streams)
     _print_losses(streams, done.recipe.fps)
+    _print_strings(done)
     notes = sum(bool(row["notes"]) for row in rows)
     if notes:
         print_line(f"note: the clock of {count_text(notes, 'session')} was corrected: meta/SYNCHRONIZATION.md")
@@ -285,6 +287,18 @@ def _losses(facts: Sequence[Mapping[str, Any]], fps: int) -> Iterator[str]:
             f"{each['stream']} has {each['rate_hz']:,.4g} Hz, the frames {fps}: {each['used']:,} of "
             f"{count_text(each['within'], 'message')} are in a frame; a larger fps takes more{more}"
         )
+
+
+def _strings(done: Exported) -> list[str]:
+    """Features of strings of which LeRobot 0.6 would make one tensor, for policies that take several observations."""
+    features = done.parts[0].written["features"].items() if done.recipe.format != "v2.1" else ()
+    return [name for name, facts in features if facts["dtype"] == "string" and name.startswith(OBSERVATION)]
+
+
+def _print_strings(done: Exported) -> None:
+    for name in _strings(done):
+        other = f"meta.{name.rpartition('.')[2]}"
+        print_line(f"note: {name}: policies of several observations fail at strings of this name, but not {other}")
 
 
 def _print_left_out(left_out: Mapping[str, int]) -> None:

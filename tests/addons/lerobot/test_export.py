@@ -25,7 +25,9 @@ from tests.addons.lerobot.sessions import (
     trial_messages,
     write_session,
 )
+from tests.places import FIXTURES
 from tests.plus_sequences import ultrasound_of_old
+from tests.tables import table
 
 FPS = 20
 STATISTICS = {"min", "max", "mean", "std", "count"}
@@ -279,3 +281,29 @@ def test_wrong_words(
     assert main(["export", star, "--to", "lerobot", *words]) == code
     said = capsys.readouterr()
     assert text in said.out + said.err
+
+
+NOTE = (
+    "note: observation.meta.{name}: policies of several observations fail at strings of this name, but not meta.{name}"
+)
+
+
+@table(
+    "version, prefix, notes",
+    [("v2.1", "observation.meta", ""), ("v3.0", "observation.meta", NOTE), ("v3.0", "meta", "")],
+)
+def test_strings_that_some_policies_cannot_take_are_named(
+    version: str, prefix: str, notes: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recipe, out = tmp_path / "recipe.toml", tmp_path / "set"
+    features = (("observation.state", "/star/tool", ""), (f"{prefix}.status", "/star/status", 'tolerance_ms = "any"'))
+    rows = "".join(f'[[feature]]\nname = "{name}"\nstream = "{stream}"\n{more}\n' for name, stream, more in features)
+    recipe.write_text(
+        f'[dataset]\nfps = 1\ntask = "sew"\nformat = "{version}"\nmeasure_lags = false\n{rows}'
+        '[[feature]]\nname = "action"\nnext_of = "observation.state"\n', "utf-8"
+    )  # fmt: skip
+    words = ["export", str(FIXTURES / "star.mcap"), "--to", "lerobot"]
+    assert main([*words, "--recipe", str(recipe), "-o", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert notes.format(name="status") in printed and ("policies" in printed) == bool(notes)
+    assert main([*words, "--check", str(out)]) == 0
