@@ -66,12 +66,10 @@ class ParquetColumns:
     def _read(self, names: list[str] | None) -> pa.Table:
         """The columns, with strings in their dictionaries."""
         file = _opened(self._stream, read_dictionary=self._strings)
-        fields = (
-            self.schema if names is None else [self.schema.field(each) for each in names if each in self.schema.names]
-        )
-        if not any(pa.types.is_struct(each.type) for each in fields) or file.num_row_groups < 2:
+        chosen = [each.type for each in self.schema if names is None or each.name in names]
+        if file.num_row_groups < 2 or not any(pa.types.is_nested(each) and _has_strings(each) for each in chosen):
             return file.read(names, use_threads=False)
-        # pyarrow does not join dictionaries in structures, as encoded pictures are, of several row groups
+        # pyarrow does not join dictionaries in lists and structures (tasks, encoded pictures) of several groups
         groups = (file.read_row_group(number, names, use_threads=False) for number in range(file.num_row_groups))
         return pa.concat_tables(groups)
 
@@ -112,6 +110,12 @@ def _opened(stream: BinaryIO, **options: Any) -> Any:
     stream.seek(0)
     most = current_limits().count
     return parquet.ParquetFile(stream, pre_buffer=False, thrift_container_size_limit=most, **options)
+
+
+def _has_strings(kind: pa.DataType) -> bool:
+    """Whether a type is one of strings or bytes, or has such types in it."""
+    inner = [kind.field(number).type for number in range(kind.num_fields)]
+    return any(map(_has_strings, inner)) if inner else not pa.types.is_primitive(kind)
 
 
 def _string_bytes(column: pa.ChunkedArray) -> int:

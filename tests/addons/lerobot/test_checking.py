@@ -186,6 +186,15 @@ def lists_of_any_length(root: Path) -> None:
         parquet.write_table(pa.table(dict(zip(found.schema.names, arrays, strict=True))), path)
 
 
+def episodes_in_row_groups(root: Path) -> None:
+    """_flush_metadata_buffer: a row group for every ten episodes of a file."""
+    first, *others = tables(root, EPISODES)
+    found = pa.concat_tables([parquet.read_table(each) for each in (first, *others)])
+    parquet.write_table(found, first, row_group_size=1)
+    for path in others:
+        path.unlink()
+
+
 def png(picture: Any) -> bytes:
     av = import_av()
     codec = av.CodecContext.create("png", "w")
@@ -403,6 +412,7 @@ CASES: list[tuple[Callable[[Path], None], Sequence[str], Sequence[str]]] = [
     (of_others(means_of_quantiles), [], [f"{MEANS}q"]),
     (of_others(without_videos), [], []),
     (of_others(lists_of_any_length), [], []),
+    (of_others(episodes_in_row_groups), [], []),
     (of_others(pictures_in_the_table), [], []),
     (of_others(damaged_picture), [f"episode 1: {VIEW}: frame 4: found no PNG, JPEG or TIFF"], []),
     (of_others(channels_first), [], []),
@@ -456,7 +466,7 @@ CASES: list[tuple[Callable[[Path], None], Sequence[str], Sequence[str]]] = [
 
 
 #: The forms that most sets of LeRobot have, and what is lost; the others take a second more.
-GATE = ("deleted beside our files", "deleted", "pictures_in_the_table", "lists_of_any_length", "without_videos")
+GATE = ("deleted beside our files", "deleted", "pictures_in_the_table", "lists_of_any_length", "episodes_in_row_groups")
 
 
 @table(("change", "findings", "notes"), CASES, gate=lambda change, findings, notes: change.__name__ in GATE)

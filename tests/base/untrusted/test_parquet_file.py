@@ -55,8 +55,9 @@ def good_tables() -> dict[str, pa.Table]:
         {"compression": "zstd", "row_group_size": 100},
         {"use_dictionary": False, "data_page_version": "2.0"},
         {"data_page_size": 64, "compression": "none", "dictionary_pagesize_limit": 16, "write_batch_size": 8},
+        {"row_group_size": 2},
     ],
-    ids=["usual", "row groups", "pages of version 2", "small pages"],
+    ids=["usual", "row groups", "pages of version 2", "small pages", "small row groups"],
 )  # fmt: skip
 def test_a_sound_file_is_what_pyarrow_reads(name: str, options: dict[str, Any], tmp_path: Path) -> None:
     path = written(tmp_path / "a.parquet", good_tables()[name], **options)
