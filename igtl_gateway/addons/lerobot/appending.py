@@ -36,7 +36,7 @@ from igtl_gateway.addons.lerobot.writing import PROVENANCE, RECIPE
 
 #: What may differ from the recipe of the set: no frame depends on it.
 _MAY_DIFFER = ("splits", "card", "rates", "measure_lags")
-_NUMBERS = re.compile(r"chunk-([0-9]{3,})/file-([0-9]{3})\.(?:parquet|mp4)")
+_NUMBERS = re.compile(r"chunk-([0-9]{3,18})/file-([0-9]{3})\.(?:parquet|mp4)")
 #: Files that no later session changes.
 _KEPT = re.compile(rf"data/.*|videos/.*|meta/(?:episodes|{NATIVE})/.*|meta/provenance[^/]*")
 
