@@ -169,6 +169,7 @@ HOMES: dict[str, tuple[str, ...]] = {
         "addons.view.columns",
     ),
     "pcapng": ("addons.exchange.pcap_file",),
+    "h5py": ("addons.lerobot.hdf5_process",),
     "numpy": (
         "base.untrusted.parquet_file",
         "wire",

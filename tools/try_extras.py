@@ -95,6 +95,7 @@ CALLS = (
     Call("export small.mcap --to lerobot --write-recipe recipe.toml", "lerobot"),
     Call("import volume.nii.gz -o volume.mcap", "nifti"),
     Call("import packets.pcapng -o packets.mcap", "pcap"),
+    Call("import kinematics.toml -o kinematics.mcap", "hdf5"),
     Call("view small.mcap -o view.rrd", "view"),
     Call("bridge --no-ros --view --duration 0.1 --listen :0", "view", ends=False),
     Call("bridge --duration 0.1 --listen :0", "ros", ends=False),
@@ -142,13 +143,17 @@ def calls_in(installed: str) -> Iterator[Call]:
 
 
 def write_inputs(folder: Path) -> None:
-    """Write recordings, a message, and NIfTI and pcapng as far as their readers look before they need a library."""
+    """Write recordings, a message, and other files as far as their readers look before they need a library."""
     for name, path in RECORDINGS.items():
         shutil.copyfile(path, folder / name)
     (folder / "recordings").touch()  # no directory: a page that begins does not end
     (folder / "query.igtl").write_bytes(b"\0\1" + b"GET_STATUS".ljust(12, b"\0") + bytes(44))
     header = (348).to_bytes(4, "little") + bytes(340) + b"n+1\0" + bytes(4)
     (folder / "volume.nii.gz").write_bytes(gzip.compress(header))
+    (folder / "arm.h5").touch()
+    (folder / "kinematics.toml").write_text(
+        '[[table]]\nfile = "arm.h5"\nrate = 30\njoints = [{name = "/arm", position = ["qpos:1"]}]\n', "utf-8"
+    )
     (folder / "packets.pcapng").write_bytes(bytes.fromhex("0a0d0d0a1c0000004d3c2b1a01000000ffffffffffffffff1c000000"))
 
 

@@ -21,7 +21,7 @@ EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"][
 #: Extra → the module that its row in the documentation names.
 MODULES = {
     "ros": "rclpy", "zenoh": "zenoh", "view": "rerun", "video": "av", "nifti": "nibabel", "plot": "matplotlib",
-    "pcap": "pcapng", "arrow": "pyarrow", "pandas": "pandas", "lerobot": "av", "cohort": "pyarrow",
+    "pcap": "pcapng", "hdf5": "h5py", "arrow": "pyarrow", "pandas": "pandas", "lerobot": "av", "cohort": "pyarrow",
     "seal": "cryptography",
 }  # fmt: skip
 
@@ -83,6 +83,7 @@ WITHOUT = [
     ("matplotlib", "sync fixtures/ultrasound.mcap --plot PAGE.svg", "plot"),
     ("nibabel", "import VOLUME.nii -o OUT.mcap", "nifti"),
     ("pcapng", "import CAPTURE.pcapng -o OUT.mcap", "pcap"),
+    ("h5py", "import KINEMATICS.toml -o OUT.mcap", "hdf5"),
     ("rerun", f"view {STAR} -o OUT.rrd", "view"),
     ("cryptography", "seal keys new OUT.key", "seal"),
     ("cryptography", f"seal {STAR} --key OUT.key -o OUT.mcap", "seal"),
@@ -107,6 +108,8 @@ tolerance_ms = "any"
 name = "action"
 next_of = "observation.state"
 """
+
+KINEMATICS = '[[table]]\nfile = "arm.h5"\nrate = 30\njoints = [{name = "/arm", position = ["qpos:1"]}]\n'
 
 
 #: Runs each command line in a process that is forked from one with our common modules, and without the library.
@@ -136,9 +139,13 @@ def test_a_verb_without_its_library_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "RECIPE").write_text(RECIPE, "utf-8")
     (tmp_path / "VOLUME.nii").write_bytes((348).to_bytes(4, "little") + bytes(340) + b"n+1\0" + bytes(64))
     (tmp_path / "CAPTURE.pcapng").write_bytes(bytes.fromhex("0a0d0d0a1c0000004d3c2b1a01000000ffffffffffffffff1c000000"))
+    (tmp_path / "KINEMATICS.toml").write_text(KINEMATICS, "utf-8")
+    (tmp_path / "arm.h5").touch()
     calls = []
     for module, words, _ in WITHOUT:
-        named = re.sub(r"\b(OUT|RECIPE|PAGE|VOLUME|CAPTURE)\b", lambda found: f"{tmp_path}/{found[0]}", words)
+        named = re.sub(
+            r"\b(OUT|RECIPE|PAGE|VOLUME|CAPTURE|KINEMATICS)\b", lambda found: f"{tmp_path}/{found[0]}", words
+        )
         calls.append((module, [each.strip("'") for each in re.findall(r"'[^']*'|\S+", named)]))
     told = tmp_path / "told"
     told.mkdir()

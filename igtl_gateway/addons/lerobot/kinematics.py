@@ -25,6 +25,7 @@ from igtl_gateway.addon.streams import quaternions_of
 from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addons.exchange.source import ImportedItem, ImportedStream, NonRosSource, note_item
 from igtl_gateway.addons.lerobot.clips import decoded_frames, encoded_frames, format_of_frames
+from igtl_gateway.addons.lerobot.kinematics_hdf5 import open_hdf5
 from igtl_gateway.addons.lerobot.kinematics_recipe import (
     JOINTS,
     LENGTHS,
@@ -34,6 +35,7 @@ from igtl_gateway.addons.lerobot.kinematics_recipe import (
     PoseRow,
     TableRow,
     VideoRow,
+    is_hdf5,
     read_kinematics_recipe,
 )
 from igtl_gateway.addons.lerobot.kinematics_table import LATEST_NS, KinematicsTable, open_csv
@@ -92,7 +94,7 @@ class KinematicsSource(NonRosSource):
         self.rows = [each.row for each in self._streams]
 
     def _open(self, recipe: KinematicsRecipe, epoch_ns: int | None, default_ns: int) -> None:
-        opened = [self._table(recipe, row) for row in recipe.table]
+        opened = [(row, _opened(recipe, row, f"table[{number}]")) for number, row in enumerate(recipe.table)]
         own = [self._own_times(row, table, f"table[{number}]") for number, (row, table) in enumerate(opened)]
         firsts = [int(times[0]) for (row, _), times in zip(opened, own, strict=True) if row.zero == UTC]
         begin_ns = min(firsts) if firsts and epoch_ns is None else default_ns if epoch_ns is None else epoch_ns
@@ -110,9 +112,6 @@ class KinematicsSource(NonRosSource):
         begin = np.datetime_as_string(np.datetime64(begin_ns, "ns"), unit="ms")
         what = "the first UTC time" if firsts and epoch_ns is None else "the tables have no date"
         self.notes.append(f"the begin is {begin}Z" + ("" if epoch_ns is not None else f": {what}"))
-
-    def _table(self, recipe: KinematicsRecipe, row: TableRow) -> tuple[TableRow, KinematicsTable]:
-        return row, open_csv(recipe.path(row.file), row.separator, row.header)
 
     def _own_times(self, row: TableRow, table: KinematicsTable, place: str) -> Times:
         if row.time:
@@ -168,7 +167,7 @@ class KinematicsSource(NonRosSource):
     def _add_video(self, recipe: KinematicsRecipe, row: VideoRow, is_utc: bool, place: str) -> None:
         path = recipe.path(row.file)
         if row.times:
-            table = open_csv(recipe.path(row.times), ",", True)
+            table = _opened(recipe, TableRow(row.times, row.time), place)
             times = table.times(row.time, row.unit, f"{place}.time")
             times = times if is_utc else times + self._begin_ns
             _check_times(times, table.path)
@@ -224,6 +223,11 @@ class KinematicsSource(NonRosSource):
 
     def close(self) -> None:
         """All files are closed."""
+
+
+def _opened(recipe: KinematicsRecipe, row: TableRow, place: str) -> KinematicsTable:
+    path = recipe.path(row.file)
+    return open_hdf5(path, row.places(place)) if is_hdf5(row.file) else open_csv(path, row.separator, row.header)
 
 
 def _check_times(times: Times, path: Path) -> None:

@@ -26,7 +26,7 @@ LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 JOINTS = {"rad": 1.0, "deg": math.pi / 180, **LENGTHS}
 SEPARATORS = {",": ",", ";": ";", "tab": "\t", "space": " "}
 ORDERS = ("xyzw", "wxyz")
-VIDEOS, TEXTS = (".mp4", ".m4v", ".mov"), (".csv", ".txt", ".tsv")
+VIDEOS, TEXTS, HDF5S = (".mp4", ".m4v", ".mov"), (".csv", ".txt", ".tsv"), (".h5", ".hdf5")
 BEGIN, UTC = "begin", "utc"
 _TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
 _MOST_TEXT, _MOST_COLUMNS, _MOST_S, _MOST_HZ = 255, 1000, 1e9, 1e5
@@ -85,6 +85,21 @@ class TableRow:
     pose: tuple[PoseRow, ...] = ()
     joints: tuple[JointsRow, ...] = ()
 
+    def places(self, place: str) -> dict[Column, str]:
+        """Return each column → where it is named first; ``place``: of the table."""
+        named: list[tuple[str, Columns]] = [(f"{place}.time", (self.time,) if self.time else ())]
+        for index, pose in enumerate(self.pose):
+            of_pose = {"position": pose.position, "quaternion": pose.quaternion, "rotation": pose.rotation}
+            named += [(f"{place}.pose[{index}].{name}", columns) for name, columns in of_pose.items()]
+        for index, joints in enumerate(self.joints):
+            of_joints = {"position": joints.position, "velocity": joints.velocity, "effort": joints.effort}
+            named += [(f"{place}.joints[{index}].{name}", columns) for name, columns in of_joints.items()]
+        places: dict[Column, str] = {}
+        for where, columns in named:
+            for column in columns:
+                places.setdefault(column, where)
+        return places
+
 
 @dataclass(frozen=True, slots=True)
 class KinematicsRecipe:
@@ -97,6 +112,11 @@ class KinematicsRecipe:
     def path(self, file: str) -> Path:
         """Return the path of a file of the recipe."""
         return self.folder / file
+
+
+def is_hdf5(file: str) -> bool:
+    """Return whether a file of a recipe is HDF5, by its name."""
+    return PurePosixPath(file).suffix.lower() in HDF5S
 
 
 Check = tuple[Callable[[Any], bool], str]
@@ -151,12 +171,12 @@ _VIDEO: dict[str, Check] = {
     "name": _NAME,
     "frame": _TEXT,
     "start": _number(-_MOST_S, _MOST_S),
-    "times": _file(TEXTS),
+    "times": _file(TEXTS + HDF5S),
     "time": _COLUMN,
     "unit": _choice(TIMES),
 }
 _TABLE: dict[str, Check] = {
-    "file": _file(TEXTS),
+    "file": _file(TEXTS + HDF5S),
     "time": _COLUMN,
     "unit": _choice(TIMES),
     "zero": _choice((BEGIN, UTC)),
@@ -261,6 +281,10 @@ def _check(videos: tuple[VideoRow, ...], tables: tuple[TableRow, ...], folder: P
             raise ConfigError(f"{place}: found zero or unit with rate, expected them with time")
         if table.time and table.start:
             raise ConfigError(f"{place}.start: found it with time, expected it with rate")
+        if is_hdf5(table.file) and (not table.header or table.separator != ","):
+            raise ConfigError(f"{place}: found header or separator with HDF5, expected them with text")
+        if is_hdf5(table.file) and not (table.time or table.pose or table.joints):
+            raise ConfigError(f"{place}: found no column of {table.file}, expected pose or joints")
         for index, pose in enumerate(table.pose):
             _check_name(names, pose.name, f"{place}.pose[{index}]")
             if bool(pose.quaternion) == bool(pose.rotation):

@@ -13,8 +13,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa
-from pyarrow import csv
 
 from igtl_gateway.addon import NS_PER_S, ConfigError, DamagedRecording, one_of
 from igtl_gateway.addon.untrusted import limits, open_file, printable
@@ -90,6 +88,9 @@ def open_csv(path: Path, separator: str, header: bool) -> KinematicsTable:
 
     Raises DamagedRecording, LimitExceeded.
     """
+    import pyarrow as pa  # here: tables in HDF5 do not need it
+    from pyarrow import csv
+
     with open_file(path) as stream:
         data = stream.read(limits.current_limits().memory + 1)
     limits.check_limit("memory", len(data), f"{path}: bytes")

@@ -10,12 +10,10 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa
-from pyarrow import compute
 
 from igtl_gateway.addon import NS_PER_S, DamagedRecording
 from igtl_gateway.addon.messages import MULTI_ARRAYS
@@ -30,6 +28,9 @@ from igtl_gateway.addon.ros import (
 )
 from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addons.lerobot.recipe import ACTION, STATE
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 Array = npt.NDArray[Any]
 Times = npt.NDArray[np.int64]
@@ -90,6 +91,9 @@ def poses_of(names: Sequence[str]) -> list[PoseColumns]:
 
 def values_of(table: pa.Table, name: str, width: int, place: str) -> Array:
     """Return a column of numbers, or of lists of them, as (N, width).  Raises DamagedRecording."""
+    import pyarrow as pa  # here: tables in HDF5 do not need it
+    from pyarrow import compute
+
     column = table[name]
     array = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
     if isinstance(array, pa.ExtensionArray):
@@ -156,6 +160,8 @@ def array_messages(
 
 def still_messages(column: pa.ChunkedArray, times: Times, frame: str, place: str) -> Iterator[Buffer]:
     """Yield the CompressedImage of each encoded picture of a column.  Raises DamagedRecording."""
+    import pyarrow as pa
+
     if not pa.types.is_struct(column.type) or column.type.get_field_index("bytes") < 0:
         raise DamagedRecording(f"{place}: found {column.type}, expected encoded pictures")
     cells = (cell for chunk in column.chunks for cell in chunk.field("bytes"))

@@ -225,7 +225,7 @@ BAD = [
     (changed('"/camera/left"', '"camera left"'), "video[0].name: found 'camera left', expected a topic such as"),
     (changed('time = "stamp"\n', ""), "video[0]: expected times and time together, without start"),
     (changed('[[table]]', '[[tables]]'), "tables: unknown table, expected one of video, table; did you mean 'table'?"),
-    (changed('file = "kinematics.csv"', 'file = "kinematics.h5"'), "folder of the recipe, .csv, .txt, .tsv"),
+    (changed('file = "kinematics.csv"', 'file = "kinematics.mat"'), "of the recipe, .csv, .txt, .tsv, .h5, .hdf5"),
     (changed('zero = "utc"', 'zero = "epoch"'), "table[0].zero: found 'epoch', expected one of begin, utc"),
     (changed('zero = "utc"', "rate = 30"), "table[0]: found both, expected time or rate"),
     (changed('unit = "mm"\n', ""), "table[0].pose[0]: found no unit, expected one of m, cm, mm, um"),
