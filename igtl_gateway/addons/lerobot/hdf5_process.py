@@ -45,7 +45,7 @@ def find(file: Any, name: str) -> Any:
     for part in filter(None, name.split("/")):
         if not isinstance(here, h5py.Group):
             raise Unusable(f"found a dataset {_shown(here.name)}, expected a group")
-        links, own = here.id.links, part.encode()  # `part in here` would open the file of an external link
+        links, own = here.id.links, part.encode()  # the link itself: no other file is opened
         if not links.exists(own):
             raise Unusable(f"found no {part!r}, expected {_names(part, here)}")
         if links.get_info(own).type != h5py.h5l.TYPE_HARD:
