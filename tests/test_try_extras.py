@@ -48,6 +48,10 @@ def test_faults(extra: str, code: int, errors: str, wrong: str) -> None:
     assert wrong in found and bool(wrong) == bool(found)
 
 
+def test_an_extra_with_a_digit() -> None:
+    assert not fault(Call("import t.toml", "hdf5"), {""}, 1, missing("h5py"))
+
+
 def test_a_call_that_needs_what_no_other_extra_has() -> None:
     query = Call("cohort query", "cohort", alone=True)
     assert not fault(query, {"arrow"}, 1, missing("duckdb")) and not fault(query, {"cohort"}, 2, "no such file")

@@ -38,7 +38,7 @@ _PYARROW = ("arrow", "pandas", "lerobot", "cohort")  # all that the calls of the
 #: Extra → the extras that have all that its calls need.
 _ALSO = {"video": ("lerobot",), "plot": ("lab",), "nifti": ("lab",)} | dict.fromkeys(_PYARROW, _PYARROW)
 #: The laboratory is a distribution of its own, which no index needs to have.
-_NAMED = re.compile(r"igtl-gateway(?:\[|-)([a-z]+)")
+_NAMED = re.compile(r"igtl-gateway(?:\[|-)([a-z0-9]+)")
 
 
 @dataclass(frozen=True)
