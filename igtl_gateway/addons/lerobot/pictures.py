@@ -5,8 +5,9 @@ Every form of a picture gives the pixels that it stands for, or is refused by na
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
+from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -152,14 +153,15 @@ class PictureReader:
     def look_through(self) -> Iterator[tuple[Place, Array | None]]:
         """Yield the place of each message in order, with its pixels (rows, columns, components), or None without any.
 
-        Depth is in mm.
+        Depth is in mm; of other pictures only shape and type count: encoded ones are not converted to RGB, which takes
+        longer than to decode them.
 
         Raises ConfigError for what is not read.
         """
-        begin_ns = 0
+        begin_ns, want = 0, Want.PIXELS if self._depth_mm else Want.SHAPE
         for index, (at, block, row) in enumerate(_numbered(self._stream.blocks())):
             try:
-                plane = self._decoder.read(block, row)
+                plane = self._decoder.read(block, row, want)
             except ConversionError as error:
                 raise ConfigError(f"{self._stream.key}: message {index}: {error}") from None
             begin_ns = at[0] if self._decoder.can_begin else begin_ns
@@ -193,7 +195,7 @@ class PictureReader:
         self._place, self._plane = (0, 0, 0), None  # if it fails, the next one begins again
         for at, block, row in _numbered(self._between(after[0], wanted[0] + 1)):
             if after < at <= wanted:
-                self._plane = self._decoder.read(block, row, is_wanted=at == wanted)
+                self._plane = self._decoder.read(block, row, Want.PIXELS if at == wanted else Want.NOTHING)
         self._place = place
 
     def _between(self, start_ns: int, end_ns: int) -> Iterable[MessageBlock]:
@@ -239,6 +241,12 @@ def _numbered(blocks: Iterable[MessageBlock]) -> Iterator[tuple[tuple[int, int],
             yield (time_ns, before), block, row
 
 
+class Want(Enum):
+    """What is wanted of a message: the pixels, shape and type of them, or that those after it can be decoded."""
+
+    PIXELS, SHAPE, NOTHING = range(3)
+
+
 class _Plain:
     """Pictures that are not encoded.
 
@@ -254,7 +262,7 @@ class _Plain:
     def begin(self) -> None:
         """Forget what was read."""
 
-    def read(self, block: MessageBlock, row: int, *, is_wanted: bool = True) -> Array | None:
+    def read(self, block: MessageBlock, row: int, want: Want = Want.PIXELS) -> Array | None:
         """Return a picture, or None for a damaged or an empty message.  Raises ConfigError for what is not read."""
         try:
             view = self._stream.images_of([block])[row]
@@ -291,7 +299,7 @@ class _Coded:
         """Forget what was read: the next picture of a video is a key frame."""
         self._has_begun = False
 
-    def read(self, block: MessageBlock, row: int, *, is_wanted: bool = True) -> Array | None:
+    def read(self, block: MessageBlock, row: int, want: Want = Want.PIXELS) -> Array | None:
         """Return a picture (rows, columns) or (rows, columns, 3), or None if the message gives none.
 
         Messages of a video come in their order; one that is not wanted is only decoded if others need it.  Raises
@@ -304,8 +312,8 @@ class _Coded:
             return None
         if is_video:
             picture = self._decoded(codec, data)
-            return _pixels(picture) if is_wanted and picture is not None else None
-        return self._alone(codec, data) if is_wanted else None
+            return None if picture is None else _FROM_VIDEO[want](picture)
+        return None if want == Want.NOTHING else self._alone(codec, data, want)
 
     def _frame(self, block: MessageBlock, row: int) -> tuple[str, bytes]:
         """Codec and data of a message; nothing if it is damaged."""
@@ -339,12 +347,13 @@ class _Coded:
             return None
         return found[0] if found else None
 
-    def _alone(self, form: str, data: bytes) -> Array | None:
+    def _alone(self, form: str, data: bytes, want: Want) -> Array | None:
         coding = coding_of(form, data)
         if coding.codec not in (JPEG, PNG):
             raise ConversionError(f"found format {form!r}, expected JPEG, PNG or video")
         try:
-            pixels = decoded_still(coding.codec, data[coding.start :])
+            is_shape_alone = want == Want.SHAPE and not coding.depth
+            pixels = decoded_still(coding.codec, data[coding.start :], is_shape_alone=is_shape_alone)
         except ConversionError:
             return None  # damaged
         return depths(pixels, coding) if coding.depth else pixels
@@ -372,3 +381,11 @@ def _form(image: CompressedImage) -> str:
 def _pixels(picture: Any) -> Pixels:
     found: Pixels = np.ascontiguousarray(picture.to_ndarray(format="rgb24"))
     return found
+
+
+#: What is wanted of a picture of a video → what gives it.
+_FROM_VIDEO: dict[Want, Callable[[Any], Array | None]] = {
+    Want.PIXELS: _pixels,
+    Want.SHAPE: lambda picture: np.broadcast_to(np.uint8(0), (picture.height, picture.width, 3)),
+    Want.NOTHING: lambda picture: None,
+}
