@@ -196,11 +196,11 @@ class SetSource(NonRosSource):
         shape = feature["shape"]
         values = values_of(frames.table, name, prod(shape), frames.place)
         if joints:
-            packed = joint_messages(names, values, frames.times)
+            packed: Iterator[Buffer | None] = joint_messages(names, values, frames.times)
         else:
             axes = feature.get("names")
             labels = [", ".join(names)] if names and len(shape) == 1 else _labels(axes, len(shape))
-            packed = array_messages(shape, labels, feature["dtype"], values, f"{frames.place}: {name}")
+            packed = array_messages(shape, labels, feature["dtype"], values)
         return zip(frames.times.tolist(), packed, strict=True)
 
     def _poses(self, name: str, width: int, columns: tuple[int, ...], frames: _Frames) -> Iterator[Stamped]:
@@ -324,7 +324,8 @@ class SetSource(NonRosSource):
         for time_ns, _, stream, payload in heapq.merge(*tagged, key=lambda each: each[:2]):
             if payload is None:
                 stream.row.left_out += 1
-                stream.row.why = "without a rotation of length 1"
+                is_pose = stream.type == PoseStamped.TYPE
+                stream.row.why = "without a rotation of length 1" if is_pose else "an integer beyond 2^53"
             else:
                 stream.row.taken += 1
                 at_ns = time_ns + _AGE_NS

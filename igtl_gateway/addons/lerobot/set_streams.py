@@ -142,20 +142,21 @@ def pose_messages(values: Array, times: Times, frame: str) -> Iterator[Buffer | 
     return (each if is_good else None for each, is_good in zip(packed, good.tolist(), strict=True))
 
 
-def array_messages(
-    shape: Sequence[int], labels: Sequence[str], dtype: str, values: Array, place: str
-) -> Iterator[Buffer]:
-    """Yield the array of std_msgs of each row (N, K).  Raises DamagedRecording for integers beyond ±2^53."""
+def array_messages(shape: Sequence[int], labels: Sequence[str], dtype: str, values: Array) -> Iterator[Buffer | None]:
+    """Yield the array of std_msgs of each row (N, K); None for one with an integer that a float64 does not have."""
     number = NUMBERS[dtype]
-    if number == "f8" and values.dtype.kind in "iu" and len(values) and np.abs(values.astype(object)).max() > _EXACT:
-        raise DamagedRecording(f"{place}: found an integer beyond 2^53, expected one that a float64 has")
+    good: Array = np.ones(len(values), bool)
+    if number == "f8" and values.dtype.kind in "iu":
+        least = -_EXACT if values.dtype.kind == "i" else 0
+        good = np.all((values >= least) & (values <= _EXACT), axis=1)
     dims = tuple(
         MultiArrayDimension(label, size, prod(shape[axis:]))
         for axis, (label, size) in enumerate(zip(labels, shape, strict=True))
     )
     data = np.ascontiguousarray(values, f"<{number}")
     first = MULTI_ARRAYS[number](MultiArrayLayout(dims), np.zeros(prod(shape), number)).pack()
-    return _copies(first, [(len(first) - data.itemsize * prod(shape), data)], None)
+    packed = _copies(first, [(len(first) - data.itemsize * prod(shape), data)], None)
+    return (each if is_good else None for each, is_good in zip(packed, good.tolist(), strict=True))
 
 
 def still_messages(column: pa.ChunkedArray, times: Times, frame: str, place: str) -> Iterator[Buffer]:

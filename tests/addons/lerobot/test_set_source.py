@@ -167,7 +167,7 @@ def test_our_own_set_comes_back_with_its_times(version: str, tolerance: str, set
     session = imported(root, tmp_path / "s.mcap")
     with igtl_gateway.open(session) as recording:
         text = draft(recording).text
-    recipe.write_text(re.sub(r"tolerance_ms = \S+", f"tolerance_ms = {tolerance}", text), "utf-8")
+    recipe.write_text(re.sub(r"tolerance_ms = [\d.]+", f"tolerance_ms = {tolerance}", text), "utf-8")
     export_lerobot(session, recipe, out)
     assert source_rows(out) == source_rows(root)
     before, after = (json.loads((each / "meta" / "info.json").read_text("utf-8")) for each in (root, out))
@@ -336,6 +336,23 @@ def test_what_is_not_taken_is_named(sets: Path, tmp_path: Path, capsys: pytest.C
     ]  # fmt: skip
     assert [row["why"] for row in told["rows"] if row["stream"] == VIEW] == ["depth in a video is not imported"]
     assert any(note.startswith("not imported: LICENSE, meta/README.md") for note in told["notes"])
+
+
+def test_stamps_that_no_message_has_exactly_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recipe, path = tmp_path / "recipe.toml", tmp_path / "s.mcap"
+    row = '[[feature]]\nname = "observation.state"\nstream = "TRANSFORM/ArmToBase"\n'
+    of_set = '[dataset]\nfps = 10\ntask = "sew"\nmeasure_lags = false\nstamps = true\n'
+    recipe.write_text(f'{of_set}{row}[[feature]]\nname = "action"\nnext_of = "observation.state"\n', "utf-8")
+    write_session(path, [(0.1 * n, "TRANSFORM/ArmToBase", arm(0.1 * n, 0)) for n in range(5)])
+    export_lerobot(path, recipe, tmp_path / "set")
+    capsys.readouterr()
+    session = imported(tmp_path / "set", tmp_path / "back.mcap", "--json")
+    rows = {each["stream"]: each for each in json.loads(capsys.readouterr().out)["rows"]}
+    for name in ("time_ns", "stamp_ns"):
+        assert (rows[name]["imported"], rows[name]["left_out"]) == (0, 4)
+        assert rows[name]["why"] == "an integer beyond 2^53"
+    with igtl_gateway.open(session) as recording:
+        assert len(recording["/observation/state"]) == 4 and "/time_ns" not in recording
 
 
 def test_a_damaged_end_leaves_what_was_before_it(sets: Path, tmp_path: Path) -> None:
