@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from igtl_gateway.base.clock import SystemClock as SystemClock
     from igtl_gateway.base.distinct import distinct_names as distinct_names
     from igtl_gateway.base.errors import BeingRecorded as BeingRecorded
+    from igtl_gateway.base.errors import ClockWarning as ClockWarning
     from igtl_gateway.base.errors import ConfigError as ConfigError
     from igtl_gateway.base.errors import ConversionError as ConversionError
     from igtl_gateway.base.errors import DamagedRecording as DamagedRecording
@@ -83,7 +84,7 @@ HOMES: Homes = (
     # Errors: each message has the place, the value found and the value expected
     (
         "base.errors",
-        "BeingRecorded ConfigError ConversionError DamagedRecording GatewayError LimitExceeded "
+        "BeingRecorded ClockWarning ConfigError ConversionError DamagedRecording GatewayError LimitExceeded "
         "MessageTooLarge MissingAddon NoSuchRecording OutputError RecordingError RosError Unavailable "
         "UnknownTypeError UnsupportedRecording ViewerError WireError failure_text first_line",
     ),

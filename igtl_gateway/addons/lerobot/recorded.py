@@ -14,11 +14,12 @@ from operator import index as as_index
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
+from warnings import warn
 
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import ConfigError, Unavailable, one_of
+from igtl_gateway.addon import ClockWarning, ConfigError, Unavailable, one_of
 from igtl_gateway.addon.terminal import count_text
 from igtl_gateway.addons.lerobot.depth import depth_of, has_codes, no_stats
 from igtl_gateway.addons.lerobot.frames import MAX_FRAMES
@@ -79,7 +80,8 @@ def dataset(
             offset, within its episode, as LeRobot's loader gives them.
 
     Returns:
-        The data set.  It may be pickled: another process, or another day, opens the recordings when it uses them.
+        The data set; a ``ClockWarning`` has its ``notes``.  It may be pickled: another process, or another day, opens
+        the recordings when it uses them.
 
     Raises:
         ConfigError: the recipe does not fit, recordings differ, or a name is unknown.
@@ -96,7 +98,10 @@ def dataset(
         paths = recordings_in(paths[0])
     if not paths:
         raise ConfigError("source: found no path, expected recordings")
-    return RecordedSet(read_sessions(paths, Path(recipe)), split, delta_timestamps)
+    found = RecordedSet(read_sessions(paths, Path(recipe)), split, delta_timestamps)
+    if found.notes:
+        warn("; ".join(found.notes), ClockWarning, stacklevel=2)
+    return found
 
 
 class RecordedSet(Sequence[Sample]):
@@ -120,6 +125,9 @@ class RecordedSet(Sequence[Sample]):
     Attributes:
         fps: frames per second.
         robot_type: of the recipe.
+        clock: of the times: ``"source"``, the stamps of the senders, or ``"gateway"``, times of receipt.
+        notes: what was corrected, or assumed to be one clock, as ``export`` prints it; of several recordings with their
+            names.
         features: name → type, shape and names, as in info.json.
         camera_keys, depth_keys: features of pictures, and those of them that are depth.
         tasks: in the order of their numbers.
@@ -134,6 +142,13 @@ class RecordedSet(Sequence[Sample]):
     ) -> None:
         recipe = found.recipe
         self.fps, self.robot_type, self.splits = recipe.fps, recipe.robot_type, dict(found.splits)
+        self.clock = found.sessions[0].clock
+        several = len(found.sessions) > 1
+        self.notes = [
+            f"{each.name}: {note}" if several else note
+            for each, columns in zip(found.sessions, found.columns, strict=True)
+            for note in columns.notes
+        ]
         self.features: dict[str, Any] = dict(found.schema.features)
         self.tasks = list(dict.fromkeys(task for each in found.sessions for _, task in each.episodes))
         self._recordings = found.recordings

@@ -74,12 +74,14 @@ class SessionColumns:
         places: feature of pictures → (frames, 3) int64, a ``Place`` each.
         sources: feature of pictures → its source.
         names: row of the recipe → names of its numbers in this order.
+        notes: what was corrected, or assumed to be one clock.
     """
 
     columns: Mapping[str, Array]
     places: Mapping[str, Array]
     sources: Mapping[str, PictureSource]
     names: Mapping[int, tuple[str, ...]]
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +177,7 @@ def _columns(plan: Plan) -> SessionColumns:
     own = [own_columns(plan, each, 0) for each in plan.episodes]
     columns |= {name: np.concatenate([each[name] for each in own]) for name in own[0]}
     names = {row: each.recorded_names for row, each in enumerate(plan.samples) if each is not None}
-    return SessionColumns(columns, places, sources, names)
+    return SessionColumns(columns, places, sources, names, tuple(plan.joined.notes))
 
 
 def _in_order(known: KnownRecording, columns: SessionColumns, recipe: Recipe, schema: Schema) -> SessionColumns:

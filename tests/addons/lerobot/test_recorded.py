@@ -20,7 +20,7 @@ from pyarrow import parquet
 import igtl_gateway
 from igtl_gateway.addons.lerobot import RecordedSet, dataset, recorded_open
 from igtl_gateway.addons.lerobot.export import export_sessions
-from igtl_gateway.base.errors import ConfigError, GatewayError, Unavailable
+from igtl_gateway.base.errors import ClockWarning, ConfigError, GatewayError, Unavailable
 from igtl_gateway.convert.common_msgs import JointState
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.record.sessionfile.reader import SessionFile
@@ -179,7 +179,8 @@ def check_numbers(samples: RecordedSet, root: Path) -> None:
 def test_star_has_the_numbers_of_the_exported_set(tmp_path: Path) -> None:
     recipe = recipe_in(tmp_path, STAR_RECIPE)
     export_sessions([STAR], recipe, tmp_path / "set")
-    samples = dataset(STAR, recipe)
+    with pytest.warns(ClockWarning, match="one clock is assumed"):
+        samples = dataset(STAR, recipe)
     check_numbers(samples, tmp_path / "set")
     with igtl_gateway.open(STAR) as recording:
         images = [each.plane for each in recording["/star/camera/image"].images()]
@@ -213,6 +214,16 @@ def test_the_example_of_the_document(study: Path, tmp_path: Path, monkeypatch: p
     assert names["sample"]["observation.state"].shape == (7,) and names["sample"][VIEW].shape == (48, 64, 3)
     assert {each.split for each in names["samples"].episodes} == {"train"}
     names["samples"].close()
+
+
+def test_what_is_corrected_is_said_with_its_recording(tmp_path: Path) -> None:
+    path = write_session(tmp_path / "P01.mcap", messages(0.0), ahead_s={"IMAGE/View": 3.0})
+    other = write_session(tmp_path / "P02.mcap", messages(1.0))
+    with pytest.warns(ClockWarning, match="IMAGE/View are 3 s ahead .*corrected by") as warned:
+        samples = dataset(path, recipe_in(tmp_path))
+    assert samples.clock == "source" and [str(each.message) for each in warned] == ["; ".join(samples.notes)]
+    with pytest.warns(ClockWarning, match="P01.mcap: clock: .*IMAGE/View"):
+        assert all(note.startswith("P01.mcap: ") for note in dataset([path, other], recipe_in(tmp_path)).notes)
 
 
 def test_places_in_a_data_set(samples: RecordedSet, study: Path) -> None:
