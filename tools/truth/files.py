@@ -8,8 +8,10 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
+from unittest.mock import patch
 
 from mcap.reader import make_reader
 from mcap.writer import Writer
@@ -70,9 +72,10 @@ class Recording:
 
 
 def product(*words: object) -> Printed:
-    """Run a verb in this process."""
+    """Run a verb in this process; none of its lines is wrapped."""
     output = io.StringIO()
-    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+    wide = patch.dict(os.environ, {"COLUMNS": "10000"})
+    with wide, contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
         try:
             code = main([str(word) for word in words])
         except SystemExit as end:

@@ -113,6 +113,10 @@ MUTANTS: dict[str, Mutant] = {
     "m for mm": Mutant("view", VALUE, making=lambda: _transform(_metres)),
     "rotation transposed": Mutant("csv", VALUE, making=lambda: _transform(_transposed)),
     "a stream is missing": Mutant("nrrd", LOST, plan=_without_images),
+    "joints by position, as a data set": Mutant("lerobot_samples", NAME, making=_positioned),
+    "LPS for RAS, appended": Mutant("lerobot_append", VALUE, making=lambda: _transform(lambda matrix: _FLIP @ matrix)),
+    "m for mm, imported": Mutant("lerobot_import", VALUE, making=lambda: _transform(_metres)),
+    "stamps off by 100 ms, as a feature": Mutant("lerobot_stamps", TIME, plan=_late),
 }
 
 

@@ -6,13 +6,16 @@ import socket
 import threading
 import warnings
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from contextlib import closing
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import igtl_gateway
+from igtl_gateway.addons.lerobot import dataset
 from igtl_gateway.base.errors import GatewayError
-from tools.truth.files import Printed, Recording, product
+from tools.truth.conditions import plan_of
+from tools.truth.files import Printed, Recording, make, product
 from tools.truth.judges import arrays, files, igtl, lerobot, ros, rrd, tables
 from tools.truth.judges.samples import Sample
 from tools.truth.judges.truth import LOST, NAME, TIME, Findings, Truth
@@ -23,6 +26,8 @@ from tools.truth.world import BEGIN_NS
 _JITTER_S, _ALIGN_S = 0.0012, 0.06
 #: A picture of 10 Hz at a moment of 10 Hz; joints are held; s.
 _LEROBOT_S = 0.0612
+#: Duration of the recording that a set has before another one is appended, s.
+_FIRST_S = 1.2
 _DEADLINE_S = 60.0
 #: What ``align`` is asked for.
 _ASKED = [(clock, method) for clock in ("gateway", "source") for method in ("nearest", "interpolate")]
@@ -159,12 +164,17 @@ def _rrd(case: Case) -> Result:
     return result
 
 
-def _recipe(case: Case) -> str:
-    """A recipe with all that a frame can have; streams that the file does not have are left out."""
+def _recipe(case: Case, of_set: tuple[str, ...] = (), of_numbers: tuple[str, ...] = ()) -> str:
+    """A recipe with all that a frame can have; streams that the file does not have are left out.
+
+    Args:
+        case: a world.
+        of_set, of_numbers: further lines of the set, and of each row with numbers.
+    """
     with igtl_gateway.open(case.recording.path) as recording:
         keys = list(recording)
     lines = ["[dataset]", "fps = 10", 'task = "look"', f'format = "{"v3.0" if case.plan.seed % 2 else "v2.1"}"']
-    lines += ["[episodes]", 'by = "whole"']
+    lines += [*of_set, "[episodes]", 'by = "whole"']
     rows = []
     for stream in case.plan.streams:
         key = arrays.key_of(keys, stream.key)
@@ -173,9 +183,10 @@ def _recipe(case: Case) -> str:
         rows.append(key)
         if stream.kind in ("transform", "pose"):
             lines += ["[[feature]]", 'name = "observation.state"', f'stream = "{key}"', "tolerance_ms = 100"]
+            lines += of_numbers
         elif stream.kind == "joints":
             lines += ["[[feature]]", 'name = "observation.state"', f'stream = "{key}"', 'fields = ["position"]']
-            lines += ["tolerance_ms = 60"]
+            lines += ["tolerance_ms = 60", *of_numbers]
         elif stream.kind in ("image", "ros_image"):
             name = "us" if stream.kind == "image" else "camera"
             lines += ["[[feature]]", f'name = "observation.images.{name}"', f'stream = "{key}"', "tolerance_ms = 60"]
@@ -183,23 +194,106 @@ def _recipe(case: Case) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _lerobot(case: Case) -> Result:
-    out, recipe = case.out("-set"), case.out(".toml")
+def _exported(case: Case, *words: object, recipe: str = "") -> tuple[Path, Printed]:
+    """A set of the world, and what its export printed."""
+    out, path = case.out("-set"), case.out(".toml")
     try:
-        recipe.write_text(_recipe(case))
+        path.write_text(recipe or _recipe(case))
     except GatewayError as error:
-        return Result(1, str(error))
-    printed = product("export", case.recording.path, "--to", "lerobot", "--recipe", recipe, "-o", out)
+        return out, Printed(1, str(error))
+    words = (*words, "--recipe", path, "-o", out)
+    return out, product("export", case.recording.path, "--to", "lerobot", *words)
+
+
+def _judge_set(truth: Truth, result: Result, frames: Iterable[Any], stated: str) -> None:
+    """Compare the frames of a data set; ``stated`` is what it states about its clock."""
+    frames = list(frames)
+    found = truth.judge([one for reference, others in frames for one in (reference, *others)], interpolated=True)
+    held = ("joint", "video", "picture", "text")  # a picture before the moment of the frame, and one after it
+    for within_s, kinds in ((_LEROBOT_S, ("pose",)), (2 * _LEROBOT_S, held)):
+        part = [(reference, [one for one in others if one.kind in kinds]) for reference, others in frames]
+        truth.judge_frames(part, found, within_s, stated)
+    result.findings.samples += found.samples
+    for each in found.faults:
+        result.findings.fault(each.kind, each.about, each.text)
+
+
+def _lerobot(case: Case) -> Result:
+    out, printed = _exported(case)
     result = Result(printed.code, printed.text)
     if out.exists():
         result.text += product("export", case.recording.path, "--to", "lerobot", "--check", out).text
-        frames = list(lerobot.by_pyarrow(out))
-        samples = [one for reference, others in frames for one in (reference, *others)]
-        result.findings = case.truth.judge(samples, interpolated=True)
-        held = ("joint", "video", "text")  # a picture before the moment of the frame, and one after it
-        for within_s, kinds in ((_LEROBOT_S, ("pose",)), (2 * _LEROBOT_S, held)):
-            part = [(reference, [one for one in others if one.kind in kinds]) for reference, others in frames]
-            case.truth.judge_frames(part, result.findings, within_s, _stated(printed.text))
+        _judge_set(case.truth, result, lerobot.by_pyarrow(out), _stated(printed.text))
+    return result
+
+
+def _lerobot_samples(case: Case) -> Result:
+    result, recipe = Result(0, ""), case.out(".toml")
+    with warnings.catch_warnings(record=True) as stated:
+        warnings.simplefilter("always")
+        try:
+            recipe.write_text(_recipe(case))
+            with closing(dataset(case.recording.path, recipe)) as found:
+                frames = lerobot.by_samples(found, found.features)
+                _judge_set(case.truth, result, frames, _stated(f"clock: {found.clock}"))
+        except GatewayError as error:
+            result.code, result.text = 1, str(error)
+    result.text += "".join(f"\n{each.message}" for each in stated)
+    return result
+
+
+def _lerobot_append(case: Case) -> Result:
+    """A set of an ordinary world, to which this one is appended; both are judged."""
+    first = replace(plan_of(case.plan.seed, ()), seconds=_FIRST_S)
+    folder = case.out("-first")
+    folder.mkdir()
+    recording = make(first, folder)
+    before = Case(first, recording, Truth(first, recording), folder)
+    try:
+        recipe = _recipe(case)
+    except GatewayError as error:
+        return Result(1, str(error))
+    out, printed = _exported(before, recipe=recipe)
+    if printed.code:  # it does not have the streams of this one
+        return Result(printed.code, printed.text)
+    count = len(list(lerobot.by_pyarrow(out)))
+    words = ("--append", "--recipe", out / "meta" / "recipe.toml", "-o", out)
+    added = product("export", case.recording.path, "--to", "lerobot", *words)
+    result = Result(added.code, printed.text + added.text)
+    result.text += (out / "meta" / "SYNCHRONIZATION.md").read_text()  # a note of the output names it
+    frames = list(lerobot.by_pyarrow(out))
+    _judge_set(before.truth, result, frames[:count], _stated(printed.text))
+    _judge_set(case.truth, result, frames[count:], _stated(added.text))
+    return result
+
+
+def _lerobot_import(case: Case) -> Result:
+    """The set becomes a session, whose values are compared at their stamps."""
+    out, printed = _exported(case)
+    result, session = Result(printed.code, printed.text), case.out(".mcap")
+    if out.exists():
+        done = product("import", out, "-o", session)
+        result.code, result.text = done.code, result.text + done.text
+    if session.exists():
+        frames, other_times = lerobot.by_mcap(session, out)
+        _judge_set(case.truth, result, frames, _stated(printed.text))
+        if other_times:
+            result.findings.fault(TIME, (), f"{other_times} stamps of the session or times of the set have no other")
+    return result
+
+
+def _lerobot_stamps(case: Case) -> Result:
+    """Each value has the stamp of its message, and the native tables have all messages."""
+    try:
+        recipe = _recipe(case, ("stamps = true",), ("native = true",))
+    except GatewayError as error:
+        return Result(1, str(error))
+    out, printed = _exported(case, recipe=recipe)
+    samples = list(lerobot.by_stamps(out, printed.text.rpartition("clock: ")[2].strip())) if out.exists() else []
+    result = Result(printed.code, printed.text)
+    result.findings = case.truth.judge(samples)
+    if samples:
+        case.truth.lost(result.findings, ("transform", "pose", "joints"))
     return result
 
 
@@ -381,6 +475,10 @@ ROUTES: dict[str, Route] = {
     "lerobot": Route(
         _lerobot, "pyarrow, PyAV", "tolerance of the recipe: poses 61.2 ms, held values 122.4 ms beside the picture", 3
     ),
+    "lerobot_samples": Route(_lerobot_samples, "numpy", "as lerobot, by `dataset()`; pixels exact", 6),
+    "lerobot_append": Route(_lerobot_append, "pyarrow, PyAV", "as lerobot, behind the set of another recording", 6, 1),
+    "lerobot_import": Route(_lerobot_import, "mcap with mcap-ros2-support, PyAV", "as lerobot, at equal stamps", 6, 2),
+    "lerobot_stamps": Route(_lerobot_stamps, "pyarrow, PyAV", "`stamps`, `native`: stamps 3 µs; receipt 1 ms", 6, 3),
     "python": Route(_in_python(_streams), "numpy", "as parquet", 2),
     "align": Route(_in_python(_align), "numpy", "61.2 ms (the tolerance asked for) on the clock asked for", 2, 1),
     "lookup": Route(_in_python(_lookup), "numpy", "1.2 ms beside the picture", 2),
