@@ -56,7 +56,7 @@ def test_the_folder_of_a_bag_of_several_files(
 
 #: Name → how such a file begins, and what is printed of it.
 OTHERS = {
-    "a.csv": (b"a,b\n1,2\n", "a table, which no verb imports, but pandas and DuckDB read"),
+    "a.csv": (b"a,b\n1,2\n", "a table, which `import` takes by a recipe (examples/kinematics.toml)"),
     "plus.log": (b"|INFO|000|", "a log of a program, which no verb reads"),
     "a.txt": (b"hello\n", "text, which no verb reads"),
     "a.toml": (b"listen = []\n", "a configuration, which `bridge --config` and `resim --recipe` take"),

@@ -108,6 +108,7 @@ FORMATS = (
 
 _NOT_IMPORTED = "which has no times and is not imported"
 _UNPACK = "which must be unpacked first"
+_BY_RECIPE = "which `import` takes by a recipe (examples/kinematics.toml)"
 _TABLE = "which no verb imports, but pandas and DuckDB read"
 #: Files that often lie beside recordings: first bytes, suffix, what such a file is, and which program takes it.
 _OTHERS = (
@@ -117,14 +118,14 @@ _OTHERS = (
     (b"ply\r\n", ".ply", "a model of PLY", _NOT_IMPORTED),
     (b"solid ", ".stl", "a model of STL", _NOT_IMPORTED),
     (b"", ".obj", "a model of OBJ", _NOT_IMPORTED),
-    (b"", ".csv", "a table", _TABLE),
-    (b"", ".tsv", "a table", _TABLE),
+    (b"", ".csv", "a table", _BY_RECIPE),
+    (b"", ".tsv", "a table", _BY_RECIPE),
     (b"PAR1", ".parquet", "a table of Parquet", _TABLE),
     (b"ARROW1", ".arrow", "a table of Arrow", _TABLE),
     (b"RRF2", ".rrd", "a recording of rerun", "which the program rerun shows"),
     (b"\x89PNG", ".png", "a picture", _NOT_IMPORTED),
     (b"\xff\xd8\xff", ".jpg", "a picture", _NOT_IMPORTED),
-    (b"", ".mp4", "a video", "which no verb imports"),
+    (b"", ".mp4", "a video", _BY_RECIPE),
     (b"", ".avi", "a video", "which no verb imports"),
     (b"PK\x03\x04", ".zip", "an archive", _UNPACK),
     (b"\x1f\x8b", ".gz", "an archive", _UNPACK),

@@ -25,6 +25,8 @@ _PARAMETERS = ("TransformParameters", "TranformParameters")
 _FIXED = ("TransformFixedParameters", "TranformFixedParameters")
 _SPACE, _TYPE, _LINK, _LAYOUT, _CONTINUED = 1, 3, 6, 8, 16
 _MESSAGE = struct.Struct("<BHB")
+#: What other files of HDF5 need.
+_BY_RECIPE = "; kinematics need a recipe (examples/kinematics.toml)"
 #: Longest list of numbers that a transform with a matrix has.
 _MOST = 64
 _MAX_HEADER = 1 << 20
@@ -41,7 +43,8 @@ def read_hdf5(path: Path) -> list[Found]:
         file = _Hdf5(stream, str(path), files.size_of(path))
         groups = file.links(file.root())
         if _GROUP not in groups:
-            raise UnsupportedRecording(f"{path}: found no /{_GROUP} in this HDF5 file, expected transforms of ITK")
+            found = f"found no /{_GROUP} in this HDF5 file"
+            raise UnsupportedRecording(f"{path}: {found}, expected transforms of ITK{_BY_RECIPE}")
         numbered = file.links(groups[_GROUP])
         limits.check_limit("fields", len(numbered), f"{path}: transforms")
         if sorted(numbered) != sorted(map(str, range(len(numbered)))):
@@ -59,7 +62,8 @@ class _Hdf5:
         """Return the address of the root group."""
         head = self._bytes(0, 48)
         if head[8] not in (2, 3) or head[9:11] != b"\x08\x08":
-            raise UnsupportedRecording(f"{self._where}: superblock: found version {head[8]}, expected 2 or 3 as of ITK")
+            place = f"{self._where}: superblock"
+            raise UnsupportedRecording(f"{place}: found version {head[8]}, expected 2 or 3 as of ITK{_BY_RECIPE}")
         return int.from_bytes(head[36:44], "little")
 
     def links(self, address: int) -> dict[str, int]:

@@ -76,7 +76,12 @@ def test_what_else_is_in_a_file_is_passed_over(data: bytes, tmp_path: Path) -> N
 @table(
     ("old", "new", "error", "reason"),
     [
-        (b"TransformGroup", b"TransformGroop", UnsupportedRecording, "found no /TransformGroup in this HDF5 file"),
+        (
+            b"TransformGroup",
+            b"TransformGroop",
+            UnsupportedRecording,
+            "expected transforms of ITK; kinematics need a recipe",
+        ),
         (b"TransformType", b"TransformTipe", DamagedRecording, "transform 0: found no TransformType, expected one"),
         (b"GCOL\x01", b"GCOL\x02", DamagedRecording, "found no global heap, expected one"),
         (b"OHDR\x02", b"OHDR\x01", UnsupportedRecording, "expected an object header of version 2 as of ITK"),

@@ -121,7 +121,7 @@ def test_several_markups_of_a_file_have_devices_of_their_own(tmp_path: Path) -> 
         ("a.ply", b"ply\nformat ascii 1.0\n", "a model of PLY, which has no times"),
         ("a.stl", b"\0" * 84, "a model of STL, which has no times"),
         ("a.obj", b"v 1 2 3\n", "a model of OBJ, which has no times"),
-        ("a.csv", b"a,b\n1,2\n", "a table, which no verb imports, but pandas and DuckDB read"),
+        ("a.csv", b"a,b\n1,2\n", "a table, which `import` takes by a recipe"),
     ],
 )
 def test_models_and_tables_are_refused_by_name(tmp_path: Path, name: str, start: bytes, what: str) -> None:
