@@ -19,7 +19,7 @@ from tools.truth.files import Printed, Recording, make, product
 from tools.truth.judges import arrays, files, igtl, lerobot, ros, rrd, tables
 from tools.truth.judges.samples import Sample
 from tools.truth.judges.truth import LOST, NAME, TIME, Findings, Truth
-from tools.truth.senders import MS, Plan
+from tools.truth.senders import MS, Plan, Stream
 from tools.truth.world import BEGIN_NS
 
 #: The jitter of two stamps, s; the largest distance that ``align`` is asked for.
@@ -164,6 +164,17 @@ def _rrd(case: Case) -> Result:
     return result
 
 
+def _asked(case: Case) -> dict[str, Stream]:
+    """Key of a stream in the file → the stream, of those whose name is found.  Raises GatewayError."""
+    with igtl_gateway.open(case.recording.path) as recording:
+        keys = list(recording)
+    found: dict[str, Stream] = {}
+    for stream in case.plan.streams:
+        if key := arrays.key_of(keys, stream.key):
+            found.setdefault(key, stream)
+    return found
+
+
 def _recipe(case: Case, of_set: tuple[str, ...] = (), of_numbers: tuple[str, ...] = ()) -> str:
     """A recipe with all that a frame can have; streams that the file does not have are left out.
 
@@ -171,16 +182,9 @@ def _recipe(case: Case, of_set: tuple[str, ...] = (), of_numbers: tuple[str, ...
         case: a world.
         of_set, of_numbers: further lines of the set, and of each row with numbers.
     """
-    with igtl_gateway.open(case.recording.path) as recording:
-        keys = list(recording)
     lines = ["[dataset]", "fps = 10", 'task = "look"', f'format = "{"v3.0" if case.plan.seed % 2 else "v2.1"}"']
     lines += [*of_set, "[episodes]", 'by = "whole"']
-    rows = []
-    for stream in case.plan.streams:
-        key = arrays.key_of(keys, stream.key)
-        if not key or key in rows:
-            continue
-        rows.append(key)
+    for key, stream in _asked(case).items():
         if stream.kind in ("transform", "pose"):
             lines += ["[[feature]]", 'name = "observation.state"', f'stream = "{key}"', "tolerance_ms = 100"]
             lines += of_numbers
@@ -293,7 +297,8 @@ def _lerobot_stamps(case: Case) -> Result:
     result = Result(printed.code, printed.text)
     result.findings = case.truth.judge(samples)
     if samples:
-        case.truth.lost(result.findings, ("transform", "pose", "joints"))
+        asked = {stream.key for stream in _asked(case).values()}
+        case.truth.lost(result.findings, ("transform", "pose", "joints"), asked)
     return result
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from bisect import bisect_left
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 
 from tools.truth.files import Recording
@@ -246,10 +246,13 @@ class Truth:
         if sample.time_ns and not (is_output or is_later) and not _near(sample.time_ns, received, late_ns):
             findings.fault(TIME, about, _time_text(sample.stream, "receipt", sample.time_ns, received))
 
-    def lost(self, findings: Findings, kinds: Sequence[str]) -> None:
-        """Add a fault for each stream of these kinds of which a result has less than the file should have."""
+    def lost(self, findings: Findings, kinds: Sequence[str], asked: Collection[str] | None = None) -> None:
+        """Add a fault for each stream of these kinds of which a result has less than the file should have.
+
+        ``asked`` are the keys of the streams that were asked for; None: all.
+        """
         for stream in self.plan.streams:
-            if stream.kind not in kinds:
+            if stream.kind not in kinds or (asked is not None and stream.key not in asked):
                 continue
             for thing in things_of(stream):
                 wanted = {one.true_ns for one in self.sent[thing] if one.stream is stream}
