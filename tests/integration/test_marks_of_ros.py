@@ -61,8 +61,8 @@ def test_a_call_of_the_service_is_a_mark(tmp_path: Path) -> None:
             answers.append(other.receive("/igtl_gateway/mark"))
     assert [answer["success"] for answer in answers] == [True, True, False, True, False, False]
     assert answers[2]["message"].startswith("mark: found the end of 'suture'")
-    assert "s ahead of the bridge's clock" in answers[4]["message"]
-    assert "s ago, expected at most the" in answers[5]["message"]
+    assert " ahead of the bridge's clock" in answers[4]["message"]
+    assert " ago, expected at most the" in answers[5]["message"]
     with igtl_gateway.open(out) as recording:
         assert {(mark.label, mark.text, mark.who, mark.is_open) for mark in recording.marks} == {
             ("suture", "first", "Kim", False),
