@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +39,7 @@ from igtl_gateway.addons.lerobot.kinematics_recipe import (
     read_kinematics_recipe,
 )
 from igtl_gateway.addons.lerobot.kinematics_table import LATEST_NS, KinematicsTable, open_csv
-from igtl_gateway.addons.lerobot.set_streams import joint_messages, pose_messages
+from igtl_gateway.addons.lerobot.set_streams import are_poses, joint_messages, pose_messages
 
 Array = npt.NDArray[Any]
 Times = npt.NDArray[np.int64]
@@ -47,6 +47,8 @@ Stamped = tuple[int, Buffer]
 
 #: Time from a stamp to its entry: an entry at its stamp would have none.
 _AGE_NS = 1
+#: Largest difference of the products of a rotation's columns from those of axes: rounding to two decimals.
+_OFF = 2e-2
 
 
 @dataclass(slots=True)
@@ -126,14 +128,19 @@ class KinematicsSource(NonRosSource):
             matrices[:, :3, :3] = table.numbers(row.rotation, f"{place}.rotation").reshape(-1, 3, 3)
             matrices[:, 3, 3] = 1
             quaternions, good = quaternions_of(matrices)
-            quaternions = np.where(good[:, np.newaxis], quaternions, np.nan)
+            # columns that are not a matrix have a nearest rotation too
+            with np.errstate(invalid="ignore", over="ignore"):
+                off = np.abs(matrices.transpose(0, 2, 1) @ matrices - np.eye(4)).max(axis=(1, 2))
+            quaternions = np.where((good & (off <= _OFF))[:, np.newaxis], quaternions, np.nan)
         else:
             quaternions = table.numbers(row.quaternion, f"{place}.quaternion")
             if row.order == "wxyz":
                 quaternions = quaternions[:, [1, 2, 3, 0]]
         stream = self._add(row.name, PoseStamped.TYPE, table.rows)
-        packed = pose_messages(np.concatenate([position, quaternions], axis=1), times, row.frame)
+        values = np.concatenate([position, quaternions], axis=1)
         why = "without a position and a rotation of length 1"
+        _check_any(are_poses(values), why, table, place)
+        packed = pose_messages(values, times, row.frame)
         stream.messages = self._good(stream, times, packed, why)
 
     def _add_joints(self, row: JointsRow, table: KinematicsTable, times: Times, place: str) -> None:
@@ -146,9 +153,11 @@ class KinematicsSource(NonRosSource):
         values[1] = values[1] * JOINTS[row.unit]
         stream = self._add(row.name, JointState.TYPE, table.rows)
         good = np.asarray(np.isfinite(np.concatenate(values, axis=1)).all(axis=1))
+        why = "with a number that is missing or not finite"
+        _check_any(good, why, table, place)
         packed = joint_messages(names, values[0], times, values[1], values[2])
         chosen = (each if is_good else None for each, is_good in zip(packed, good.tolist(), strict=True))
-        stream.messages = self._good(stream, times, chosen, "with a number that is missing or not finite")
+        stream.messages = self._good(stream, times, chosen, why)
 
     def _good(self, stream: _Stream, times: Times, packed: Iterator[Buffer | None], why: str) -> Iterator[Stamped]:
         """The messages of rows that have one; the others are counted."""
@@ -167,7 +176,8 @@ class KinematicsSource(NonRosSource):
     def _add_video(self, recipe: KinematicsRecipe, row: VideoRow, is_utc: bool, place: str) -> None:
         path = recipe.path(row.file)
         if row.times:
-            table = _opened(recipe, TableRow(row.times, row.time), place)
+            form_of = next((each for each in recipe.table if each.file == row.times), TableRow(row.times))
+            table = _opened(recipe, replace(form_of, time=row.time, pose=(), joints=()), place)
             times = table.times(row.time, row.unit, f"{place}.time")
             times = times if is_utc else times + self._begin_ns
             _check_times(times, table.path)
@@ -228,6 +238,11 @@ class KinematicsSource(NonRosSource):
 def _opened(recipe: KinematicsRecipe, row: TableRow, place: str) -> KinematicsTable:
     path = recipe.path(row.file)
     return open_hdf5(path, row.places(place)) if is_hdf5(row.file) else open_csv(path, row.separator, row.header)
+
+
+def _check_any(good: Array, why: str, table: KinematicsTable, place: str) -> None:
+    if not good.any():
+        raise ConfigError(f"{place}: {table.path.name}: found only rows {why}")
 
 
 def _check_times(times: Times, path: Path) -> None:

@@ -25,6 +25,7 @@ Times = npt.NDArray[np.int64]
 LATEST_NS = NS_PER_S << 31
 #: Names of columns that an error lists.
 _LISTED = 8
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|NaN)")
 _BLANKS, _OUTER = re.compile(rb"[ \t]+"), re.compile(rb"(?m)^[ \t]+|[ \t\r]+$")
 
 
@@ -108,6 +109,9 @@ def open_csv(path: Path, separator: str, header: bool) -> KinematicsTable:
         raise DamagedRecording(
             f"{path}: is not a valid table: {printable(str(error).partition(chr(10))[0])[:200]}"
         ) from None
+    if header and _are_values(names):
+        shown = ", ".join(map(printable, names[:3]))
+        raise DamagedRecording(f"{path}: row 1: found {shown} …, expected names of columns, or header = false")
     if not table.num_rows:
         raise DamagedRecording(f"{path}: found no row, expected one or more")
 
@@ -119,10 +123,16 @@ def open_csv(path: Path, separator: str, header: bool) -> KinematicsTable:
                 raise ConfigError(f"{place}: {path.name}: {column}: found {found.type}, expected numbers")
             found = found.cast(pa.float64())
         if found.null_count:
-            found = found.cast(pa.float64()).fill_null(float("nan"))
+            found = found.cast(pa.float64(), safe=False).fill_null(float("nan"))
         return np.asarray(found.to_numpy())
 
     return KinematicsTable(path, table.num_rows, read)
+
+
+def _are_values(names: Sequence[str]) -> bool:
+    """Return whether a first line has numbers that are not those of columns, which programs write as names."""
+    counts = [str(number) for number in range(len(names) + 1)]
+    return all(map(_NUMBER.fullmatch, names)) and list(names) not in (counts[:-1], counts[1:])
 
 
 def _place_of(column: Column, names: Sequence[str], header: bool, path: Path, place: str) -> int:

@@ -133,10 +133,16 @@ def joint_messages(
     return _copies(first, pieces, times)
 
 
+def are_poses(values: Array) -> Array:
+    """Return which rows (N, 7), m and quaternion, have a position and a rotation (N,)."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        unit = np.abs(np.linalg.norm(values[:, 3:], axis=1) - 1) <= _UNIT
+    return np.asarray(np.isfinite(values).all(axis=1) & unit)
+
+
 def pose_messages(values: Array, times: Times, frame: str) -> Iterator[Buffer | None]:
     """Yield the PoseStamped of each row (N, 7), m and quaternion, at its time; None without a rotation."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        good = np.isfinite(values).all(axis=1) & (np.abs(np.linalg.norm(values[:, 3:], axis=1) - 1) <= _UNIT)
+    good = are_poses(values)
     first = PoseStamped(Header(0, frame), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)).pack()
     packed = _copies(first, [(len(first) - 56, np.ascontiguousarray(values, "<f8"))], times)
     return (each if is_good else None for each, is_good in zip(packed, good.tolist(), strict=True))

@@ -241,6 +241,10 @@ BAD = [
     (TABLE.replace('["yaw", "pitch"]', '["yaw", "word"]'), "joints[0].position: kinematics.csv: word: found string"),
     (TABLE.replace('time = "stamp"', 'time = "back"'), "row 3: back: found 1, expected more than 2 of the row before"),
     (TABLE.replace('time = "stamp"', 'time = "hole"'), "row 2: hole: found nan, expected a time in ns before 2038"),
+    (JIGSAWS.replace("[42, 43, 44, 45, 46, 47, 48, 49, 50]", "[1, 2, 3, 4, 5, 6, 7, 8, 9]"), "of length 1"),
+    (JIGSAWS.replace("header = false\n", ""), "expected names of columns, or header = false"),
+    (TABLE.replace('"stamp"', '"late"').replace("word", "late"), "row 2: late: found nan, expected a time in ns"),
+    (TABLE.replace('["yaw", "pitch"]', '["yaw", "none"]'), "joints[0]: wide.csv: found only rows with a number"),
     (DVRK.replace('times = "kinematics.csv"', 'times = "short.csv"'), "left.mp4: found more frames, expected 2 as "),
     (DVRK.replace('times = "kinematics.csv"', 'times = "long.csv"'), "left.mp4: found 8 frames, expected 16 as "),
     (TABLE.replace('"kinematics.csv"', '"uneven.csv"'), "uneven.csv: is not a valid table: "),
@@ -254,7 +258,9 @@ BAD = [
 def bad(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder, with tables that are wrong."""
     lines = (data / "kinematics.csv").read_text("utf-8").splitlines()
-    more = [["word", "back", "hole"], ["a", "1", "1"], ["b", "2", "nan"], ["c", "1", "3"], *[["d", "4", "4"]] * 5]
+    late = str(BEGIN_NS)
+    more = [["word", "back", "hole", "late", "none"], ["a", "1", "1", late, ""], ["b", "2", "nan", "nan", ""]]
+    more += [["c", "1", "3", late, ""], *[["d", "4", "4", late, ""]] * 5]
     (data / "short.csv").write_text("\n".join(lines[:3]), "utf-8")
     twice = [f"{int(line.partition(',')[0]) + NS_PER_S},{line.partition(',')[2]}" for line in lines[1:]]
     (data / "long.csv").write_text("\n".join([*lines, *twice]), "utf-8")
@@ -273,7 +279,7 @@ def bad(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_wrong_recipe_or_table_is_one_line(
     text: str, expected: str, bad: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    if any(name in text for name in ('"word"', '"back"', '"hole"')):
+    if any(name in text for name in ('"word"', '"back"', '"hole"', '"late"', '"none"')):
         text = text.replace("kinematics.csv", "wide.csv")
         expected = expected.replace("kinematics.csv", "wide.csv")
     path = recipe(bad, text)
