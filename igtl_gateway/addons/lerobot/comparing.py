@@ -109,15 +109,15 @@ def _sessions(
             place = Place(episode, frame, tuple(found.tasks[key] for key in sorted(found.tasks)), names)
             path = given.pop(each.sha256)
             texts = _session(part, recipe, place, number, path, totals, is_own=not others)
-            yield from (f"{printable(path.name)}: {text}" for text in texts)
+            yield from (f"{printable(str(path))}: {text}" for text in texts)
             compared += 1
         episode, frame = episode + each.episodes, frame + sum(one.length for one in episodes)
     for path in given.values():
         yield f"{printable(str(path))}: found a recording that meta/{SESSIONS} does not list, expected one of the set"
     if compared < len(sessions):
         notes.append(
-            f"{len(sessions) - compared:,} of {count_text(len(sessions), 'session')} were not compared: "
-            "no recording given"
+            f"no recording given for {len(sessions) - compared:,} of {count_text(len(sessions), 'session')}: "
+            "not compared"
         )
     elif not given and not others:
         yield from _totals(found, totals)

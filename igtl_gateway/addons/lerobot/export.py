@@ -8,7 +8,7 @@ byte.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -161,15 +161,31 @@ def describe(
         other = owners.setdefault(each.sha256, each)
         if other is not each:
             raise ConfigError(
-                f"found the content of {printable(other.path)} in {printable(each.path)}, too, expected each session "
-                "once"
+                f"found {printable(each.path)} twice, expected each session once"
+                if each.path == other.path
+                else f"found the content of {printable(other.path)} in {printable(each.path)}, too, expected each "
+                "session once"
             )
-    if there := [each for each in found if known and each.sha256 in known]:
+    if there := [_renamed(each.name, known[each.sha256]) for each in found if known and each.sha256 in known]:
         raise ConfigError(
             f"the data set has {count_text(len(there), 'of these sessions', 'of these sessions')} already: "
-            f"{_few({each.name: '' for each in there})}; expected others"
+            f"{_few(there)}; expected others"
         )
     return found
+
+
+def _renamed(name: str, known: str) -> str:
+    return name if name == known else f"{name}, there as {known}"
+
+
+def distinct_names(paths: Sequence[str]) -> list[str]:
+    """Return the names of recordings; if some have one name, with as many folders as make them differ."""
+    parts = [Path(path).parts for path in paths]
+    for count in range(1, max(map(len, parts))):
+        names = [str(Path(*each[-count:])) for each in parts]
+        if len(set(names)) == len(set(paths)):
+            return names
+    return list(paths)
 
 
 def _replies(jobs: Sequence[Job], do: Runner) -> list[Mapping[str, Any]]:
@@ -183,10 +199,10 @@ def _replies(jobs: Sequence[Job], do: Runner) -> list[Mapping[str, Any]]:
     for error in failed.values():
         if isinstance(error, OSError):
             raise error
-    texts = []
+    names, texts = distinct_names([each.path for each in jobs]), []
     for number, error in failed.items():
         place = jobs[number].path
-        texts.append(f"{printable(Path(place).name)}: {str(error).replace(f'{place}: ', '')}")
+        texts.append(f"{printable(names[number])}: {str(error).replace(f'{place}: ', '')}")
     raise _together(len(jobs), texts, is_config=any(isinstance(each, ConfigError) for each in failed.values()))
 
 
@@ -200,10 +216,10 @@ def _together(count: int, texts: Sequence[str], *, is_config: bool = True) -> Ga
 def check_schema(sessions: Sequence[Described], schema: Schema, recipe: Recipe) -> None:
     """Raise ConfigError for sessions that differ from a schema, GatewayError for too many frames."""
     texts = []
-    for each in sessions:
+    for each, name in zip(sessions, distinct_names([each.path for each in sessions]), strict=True):
         if found := differences(each, schema, recipe):
             more = f" and {len(found) - 1:,} more" if len(found) > 1 else ""
-            texts.append(f"{printable(each.name)}: {found[0]}{more}")
+            texts.append(f"{printable(name)}: {found[0]}{more}")
     if texts:
         raise _together(len(sessions), texts)
 
@@ -255,7 +271,7 @@ def splits_of_groups(
     return {each.path: splits[groups[each.path]] for each in sessions}
 
 
-def _few(names: Mapping[str, Any]) -> str:
+def _few(names: Iterable[str]) -> str:
     texts = [printable(each) for each in names]
     return ", ".join(texts[:_MOST]) + (f" and {len(texts) - _MOST:,} more" if len(texts) > _MOST else "")
 

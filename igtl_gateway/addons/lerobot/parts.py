@@ -84,7 +84,7 @@ def run_job(value: Mapping[str, Any]) -> dict[str, Any]:
         part = Path(job.part)
         # a job whose program is killed is done again, perhaps beside the first: each has a folder of its own
         trial = Path(mkdtemp(dir=part.parent, prefix=f"{part.name}-")) / part.name
-        written = written_part(recording, build(recording, recipe, job.place), trial, shown_name(path))
+        written = written_part(recording, build(recording, recipe, job.place), trial, shown_name(path, recipe.patient))
     try:
         os.rename(trial, part)
     except OSError:
@@ -97,7 +97,7 @@ def described(path: Path, recipe: Recipe, recording: Recording, plan: Plan) -> D
     """Return the description of a session."""
     rows = (_row(number, each, recipe) for number, each in enumerate(plan.samples) if each is not None)
     episodes = tuple((each.count, each.task) for each in plan.episodes)
-    name, start_ns = shown_name(path), recording.start_time
+    name, start_ns = shown_name(path, recipe.patient), recording.start_time
     return Described(
         str(path), name, content_digest(path), start_ns, plan.clock, facts_of(plan).features, tuple(rows), episodes,
         plan.splits,
@@ -143,9 +143,13 @@ def _stream(facts: Facts) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def shown_name(path: Path) -> str:
-    """Return the name of a file; bytes that are not UTF-8 are escaped."""
-    return path.absolute().name.encode("utf-8", "backslashreplace").decode()
+def shown_name(path: Path, patient: str) -> str:
+    """Return the name of a recording, with the folders of the pattern of patients, in which equal names differ.
+
+    Bytes that are not UTF-8 are escaped.
+    """
+    parts = path.absolute().parts[-(patient.count("/") + 1) :]
+    return "/".join(parts).encode("utf-8", "backslashreplace").decode()
 
 
 def content_digest(path: Path) -> str:

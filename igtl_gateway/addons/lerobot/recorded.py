@@ -50,7 +50,7 @@ class SetEpisode:
         length: number of frames.
         tasks: what is done: one text.
         dataset_from_index, dataset_to_index: its first frame in the data set, and the one behind its last.
-        session: name of the file of the recording.
+        session: name of the file of the recording, with the folders that ``splits.patient`` has.
         split: name of the split, such as ``"train"``.
     """
 

@@ -58,7 +58,7 @@ class Described:
 
     Attributes:
         path: of the recording.
-        name: of its file.
+        name: of its file, with the folders that ``splits.patient`` has.
         sha256: of its content.
         start_ns: gateway time of its first entry.
         clock: ``source`` or ``gateway``.

@@ -57,7 +57,7 @@ class SetSession:
     """A session of a data set.
 
     Attributes:
-        name: of the file of the recording.
+        name: of the file of the recording, with the folders that ``splits.patient`` has.
         sha256: of its content.
         start_ns: gateway time of its first entry.
         group: session or patient, which has one split.

@@ -179,6 +179,8 @@ def _print_one(options: argparse.Namespace, file: Path, done: Exported) -> None:
 
 def _print_many(options: argparse.Namespace, done: Exported) -> None:
     """What is in a set of several sessions; numbers of streams are those of all of them."""
+    from igtl_gateway.addons.lerobot.export import distinct_names
+
     streams = _summed(done.parts)
     left_out: Counter[str] = sum((Counter(each.written["left_out"]) for each in done.parts), Counter())
     rows = [_session(each) for each in _numbered(done)]
@@ -193,10 +195,11 @@ def _print_many(options: argparse.Namespace, done: Exported) -> None:
             }
         )  # fmt: skip
         return
+    names = distinct_names([each.session.path for each in done.parts])
     cells = [
-        (printable(row["session"]), row["split"], f"{row['first_episode']:,}", f"{row['episodes']:,}",
+        (printable(name), row["split"], f"{row['first_episode']:,}", f"{row['episodes']:,}",
          f"{row['frames']:,}")
-        for row in rows[:_SESSIONS]
+        for name, row in zip(names[:_SESSIONS], rows, strict=False)
     ]  # fmt: skip
     print_line(*aligned([("session", "split", "first episode", "episodes", "frames"), *cells], left=2))
     if len(rows) > _SESSIONS:

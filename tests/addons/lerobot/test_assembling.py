@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from pyarrow import parquet
 
-from igtl_gateway.addons.lerobot.export import export_sessions
+from igtl_gateway.addons.lerobot.export import distinct_names, export_sessions
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli import main
 from igtl_gateway.convert.common_msgs import JointState
@@ -175,7 +176,7 @@ def test_a_changed_value_of_any_session_is_found(
     out = capsys.readouterr().out
     assert "P01_b.mcap: episode 1: observation.force: frame 3" in out and "found another SHA-256" in out
     assert main([words[0], *words[2:]]) == 1  # one recording: the other session is not compared, which a note states
-    assert "note: 1 of 2 sessions were not compared" in capsys.readouterr().out
+    assert "note: no recording given for 1 of 2 sessions: not compared" in capsys.readouterr().out
     assert main(["export", str(study / "P03_a.mcap"), *words[3:]]) == 1
     assert "found a recording that meta/sessions.json does not list" in capsys.readouterr().out
 
@@ -222,6 +223,7 @@ def test_sessions_that_cannot_be_in_one_set(study: Path, tmp_path: Path, capsys:
         return err
 
     assert "expected each session once" in text_of(one, two, copy)
+    assert f"found {one} twice, expected each session once" in text_of(one, one)
     assert "1 of 2 sessions do not fit: none.mcap: feature[2].stream" in text_of(one, without)
     assert "a range of demonstrations, with 2 sessions" in text_of(one, two, more='[splits]\ntrain = "0:2"')
     assert "expected it in one split" in text_of(one, two, more='[splits]\ntrain = ["P01_a"]\nval = ["P02"]')
@@ -234,6 +236,38 @@ def test_sessions_that_cannot_be_in_one_set(study: Path, tmp_path: Path, capsys:
     assert "1 of 2 sessions do not fit: no.mcap: No such file" in capsys.readouterr().err
     assert main(["export", str(one), str(two), "--to", "csv", "-o", str(tmp_path / "csv")]) == 2
     assert "found 2 recordings, expected one" in capsys.readouterr().err
+
+
+def test_sessions_of_one_name(study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [tmp_path / patient / "run.mcap" for patient in ("Müller", "P02")]
+    for file, name in zip(files, NAMES, strict=False):
+        file.parent.mkdir()
+        file.write_bytes((study / f"{name}.mcap").read_bytes())
+    recipe = recipe_of(tmp_path, "v3.0", '[splits]\npatient = "{patient}/*"\ntrain = 0.5\nval = 0.5')
+    words = ["--to", "lerobot", "--recipe", str(recipe), "-o", str(tmp_path / "set")]
+    assert main(["export", *map(str, files), *words]) == 0
+    assert re.search(r"Müller/run.mcap +train.*\n *P02/run.mcap +val", capsys.readouterr().out)
+    text = (tmp_path / "set" / "meta" / "SYNCHRONIZATION.md").read_text("utf-8")
+    assert re.findall("# Synchronization of (.*)", text) == ["Müller/run.mcap", "P02/run.mcap"]
+    assert main(["export", "--to", "lerobot", "--trace", str(tmp_path / "set"), "--frame", "9"]) == 0
+    assert "of P02/run.mcap, split val" in capsys.readouterr().out
+    files[1].write_bytes(b"")
+    recipe_of(tmp_path, "v3.0")
+    assert main(["export", *map(str, files), *words[:-1], str(tmp_path / "other")]) == 1
+    assert "1 of 2 sessions do not fit: P02/run.mcap: the file is empty" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("paths", "names"),
+    [
+        (["/d/P01/a.mcap", "/d/P02/b.mcap"], ["a.mcap", "b.mcap"]),
+        (["/d/P01/a.mcap", "/d/P02/a.mcap", "/d/P02/b.mcap"], ["P01/a.mcap", "P02/a.mcap", "P02/b.mcap"]),
+        (["/1/P/a.mcap", "/2/P/a.mcap", "/2/P/a.mcap"], ["1/P/a.mcap", "2/P/a.mcap", "2/P/a.mcap"]),
+        (["/a.mcap", "/d/a.mcap"], ["/a.mcap", "d/a.mcap"]),
+    ],
+)
+def test_names_have_the_folders_in_which_they_differ(paths: list[str], names: list[str]) -> None:
+    assert distinct_names(paths) == names
 
 
 def test_a_recipe_of_demonstrations_still_serves_one_session(study: Path, tmp_path: Path) -> None:

@@ -276,7 +276,7 @@ def test_windows_stay_in_their_episode(study: Path) -> None:
         ({"delta_timestamps": {"action": [0.0, float("nan")]}}, "action: found [0.0, nan], expected a list of"),
         ({"source": "EMPTY"}, "found no *.mcap in the folder, expected recordings"),
         ({"source": []}, "source: found no path, expected recordings"),
-        ({"source": ["P01.mcap", "P01.mcap"]}, "found the content of "),
+        ({"source": ["P01.mcap", "P01.mcap"]}, "P01.mcap twice, expected each session once"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_named(options: dict[str, Any], text: str, study: Path, tmp_path: Path) -> None:
