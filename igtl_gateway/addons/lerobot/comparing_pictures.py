@@ -93,7 +93,7 @@ class PictureCheck:
 
     def _file(self, path: Path, parts: Parts, pictures: Pictures) -> Iterator[str]:
         """Another picture of the stream first: the distance in time helps to find the cause."""
-        listed, is_usual, others = 0, True, set[int]()
+        is_usual, others = True, dict[int, str]()
         near: dict[int, Pixels] = {}
         for number, (episode, frame, picture) in enumerate(pictures_of(self._found, self._name, path, parts)):
             own = self._own(episode.index - self._plan.place.episode, frame)
@@ -103,16 +103,13 @@ class PictureCheck:
             errors = {each: _error(picture, near[each]) for each in around}
             best = min(errors, key=lambda each: errors[each])
             if best != own and errors[own] > _CODING and errors[best] < _CLEARLY_LESS * errors[own]:
-                others.add(number)
-                listed += 1
-                if listed <= _MOST:
-                    away_ms = (self._samples.times[best] - self._samples.times[own]) / 1e6
-                    yield (
-                        f"episode {episode.index}: {self._name}: frame {frame}: found the picture of entry "
-                        f"{self._samples.entries[best]} ({away_ms:+.1f} ms), expected that of entry "
-                        f"{self._samples.entries[own]}"
-                    )
-        if not is_usual and listed < _MOST:
+                away_ms = (self._samples.times[best] - self._samples.times[own]) / 1e6
+                others[number] = (
+                    f"episode {episode.index}: {self._name}: frame {frame}: found the picture of entry "
+                    f"{self._samples.entries[best]} ({away_ms:+.1f} ms), expected that of entry "
+                    f"{self._samples.entries[own]}"
+                )
+        if others or not is_usual:
             yield from self._losses(path, parts, pictures, others)
 
     def _depths(self, path: Path, parts: Parts, _pictures: Pictures) -> Iterator[str]:
@@ -132,15 +129,23 @@ class PictureCheck:
                     f"({count_text(int(differ.sum()), 'pixel')})"
                 )
 
-    def _losses(self, path: Path, parts: Parts, pictures: Pictures, others: set[int]) -> Iterator[str]:
-        """Frames that differ by more than coding does; ``others`` are reported already."""
+    def _losses(self, path: Path, parts: Parts, pictures: Pictures, others: dict[int, str]) -> Iterator[str]:
+        """Frames that differ by more than coding does; ``others``: those that look like another picture.
+
+        Of slow and even changes the codec keeps nothing for some frames: the coded picture then looks like one before.
+        """
         recipe, listed = self._plan.recipe, 0
         first = self._plan.place.episode
         wanted = (self._picture(each.index - first, frame) for each, _ in parts for frame in range(each.length))
         again = coded(wanted, pictures.padded, recipe.fps, recipe.codec)
         both = zip(pictures_of(self._found, self._name, path, parts), again, strict=False)
         for number, ((episode, frame, picture), expected) in enumerate(both):
-            if number in others or np.array_equal(picture, expected):
+            if np.array_equal(picture, expected):
+                continue
+            if number in others:
+                if _error(picture, expected) > _CODING and listed < _MOST:
+                    listed += 1
+                    yield others[number]
                 continue
             loss = _around(_blocks(expected, self._picture(episode.index - first, frame)))
             found, most = _blocks(picture, expected), _PART * loss + _USUAL

@@ -335,13 +335,7 @@ def test_noise_is_within_the_loss_of_the_codec(tmp_path: Path) -> None:
     """What no codec keeps, noise in colour, is no finding; one frame of other noise is."""
     random = np.random.default_rng(3)
     noise = [random.integers(0, 256, (48, 64, 3), np.uint8) for _ in range(12)]
-    messages: list[Sent] = [(0.05 * n, "TRANSFORM/Arm0ToBase", arm(0.05 * n, 0)) for n in range(24)]
-    messages += [(0.1 * n, "IMAGE/Noise", Image((64, 48, 1), 3, each.tobytes(), num_components=3))
-                 for n, each in enumerate(noise)]  # fmt: skip
-    path = write_session(tmp_path / "s.mcap", sorted(messages, key=lambda each: each[0]))
-    recipe = tmp_path / "r.toml"
-    recipe.write_text(NOISE, "utf-8")
-    export_lerobot(path, recipe, tmp_path / "set")
+    path = picture_set(tmp_path, noise)
     assert check(tmp_path / "set", [path]).findings == []
     view = tmp_path / "set/videos/chunk-000/observation.images.noise/episode_000000.mp4"
     other = VideoFile(tmp_path / "other.mp4", (48, 64), 10, "h264")
@@ -351,6 +345,25 @@ def test_noise_is_within_the_loss_of_the_codec(tmp_path: Path) -> None:
     shutil.copy(other.path, view)
     found = [each for each in check(tmp_path / "set", [path]).findings if "SHA-256" not in each]
     assert any("observation.images.noise: frame 4: found a mean squared" in each for each in found), found
+
+
+def test_an_even_change_that_the_codec_leaves_out_is_no_other_picture(tmp_path: Path) -> None:
+    """It keeps the blue of a frame before, which another frame then has."""
+    path = picture_set(tmp_path, [np.full((30, 44, 3), (250, 10, number), np.uint8) for number in range(40)])
+    assert check(tmp_path / "set", [path]).findings == []
+
+
+def picture_set(folder: Path, pictures: list[Any]) -> Path:
+    """Write a recording with pictures (rows, columns, 3) at 10 Hz, and its data set beside it."""
+    messages: list[Sent] = [(0.05 * n, "TRANSFORM/Arm0ToBase", arm(0.05 * n, 0)) for n in range(2 * len(pictures))]
+    for number, each in enumerate(pictures):
+        size = (each.shape[1], each.shape[0], 1)
+        messages.append((0.1 * number, "IMAGE/Noise", Image(size, 3, each.tobytes(), num_components=3)))
+    path = write_session(folder / "s.mcap", sorted(messages, key=lambda each: each[0]))
+    recipe = folder / "r.toml"
+    recipe.write_text(NOISE, "utf-8")
+    export_lerobot(path, recipe, folder / "set")
+    return path
 
 
 NOISE = """\
