@@ -16,7 +16,7 @@ import numpy as np
 from igtl_gateway.addon import NS_PER_MS, NS_PER_S, ConfigError, GatewayError, matches, unmatched, without_match
 from igtl_gateway.addon.reading import Recording, Stream
 from igtl_gateway.addon.terminal import count_text
-from igtl_gateway.addons.lerobot.pictures import Pictures, first_pixels, has_pictures
+from igtl_gateway.addons.lerobot.pictures import Pictures, has_pictures, some_pixels
 from igtl_gateway.addons.lerobot.recipe import ACTION, IMAGES, STATE, Feature, Recipe
 from igtl_gateway.addons.lerobot.recipe_file import toml_value
 from igtl_gateway.addons.lerobot.resampling import common, coverage, frame_count
@@ -164,10 +164,10 @@ def _candidates(
             stream.key.encode()
             if of_set and stream.name in of_set.topics:
                 feature = of_set.feature(stream.name, stream.key, stream.type, columns_of(stream))
+                if feature is None:
+                    raise ConfigError("found no row that gives the feature of the set back, expected one")
             else:
                 feature = _feature(stream)
-            if feature is None:
-                continue
             first = _Candidate(feature, read_samples(recording, feature, joined, stream.key))
             usual = _sampled(first, is_named=is_named)
             yield _Candidate(usual, read_samples(recording, usual, joined, stream.key))
@@ -176,8 +176,8 @@ def _candidates(
             left_out.append(text if stream.key in text else f"{stream.key}: {text}")
 
 
-def _feature(stream: Stream) -> Feature | None:
-    """A row for a stream, or None if nothing in it fits."""
+def _feature(stream: Stream) -> Feature:
+    """A row for a stream.  Raises ConfigError if nothing in it fits."""
     name = re.sub(r"[^A-Za-z0-9_]+", "_", stream.name.rpartition("/")[2]).strip("_").lower() or "unnamed"
     if has_pictures(stream):
         view = re.sub(r"[^A-Za-z0-9_]+", "_", stream.name.replace("IMAGE/", "").strip("/")).lower() or "view"
@@ -186,17 +186,13 @@ def _feature(stream: Stream) -> Feature | None:
         return Feature(f"observation.meta.{name}", stream.key, tolerance_ms=None)
     main = ACTION if _COMMANDS.search(stream.name) else STATE
     if len(stream) < 2:
-        return None
+        raise ConfigError("found 1 message, expected 2 or more")
     fields = _NUMBERS.get(stream.type)
     if fields:
         return Feature(main if fields == ("position",) else f"observation.{name}", stream.key, fields=fields)
     if stream.type.startswith("geometry_msgs/msg/Wrench") or stream.type.startswith("geometry_msgs/msg/Twist"):
-        names = [each for each in _floats(stream)]
-        return Feature(f"observation.{name}", stream.key, fields=tuple(names)) if names else None
-    try:
-        stream.poses()
-    except ConfigError:
-        return None
+        return Feature(f"observation.{name}", stream.key, fields=tuple(_floats(stream)))
+    stream.poses()
     return Feature(main, stream.key)
 
 
@@ -207,7 +203,7 @@ def _floats(stream: Stream) -> Iterator[str]:
 
 
 def _window(stream: Stream) -> tuple[float, ...]:
-    """Darkest and brightest value of the first picture, for more than 8 bits."""
+    """Darkest and brightest value of some pictures, for more than 8 bits: the first one may be black."""
     try:
         Pictures(stream)
     except ConfigError as error:
@@ -215,9 +211,9 @@ def _window(stream: Stream) -> tuple[float, ...]:
             raise
     else:
         return ()
-    pixels = first_pixels(stream)
-    finite = pixels[np.isfinite(pixels)]
-    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+    finite = [each[np.isfinite(each)] for each in some_pixels(stream)]
+    low = float(min((each.min() for each in finite if each.size), default=0))
+    high = float(max((each.max() for each in finite if each.size), default=0))
     return (low, high) if low < high else (low, low + 1)
 
 
@@ -319,7 +315,7 @@ def _lines(facts: Draft, chosen: list[_Candidate], left_out: list[str], default:
     yield '# license = "CC BY 4.0"'
     if left_out:
         yield ""
-        yield "# Streams that are not used:"
+        yield "# Streams that are not used; a row with fields takes numbers of any:"
         yield from (f"#   {_plain(each)}" for each in left_out)
 
 

@@ -45,6 +45,8 @@ _PLAIN = frozenset({"IMAGE", RosImage.TYPE, Volume.TYPE})
 _CODED = frozenset({"VIDEO", CompressedImage.TYPE, CompressedVideo.TYPE})
 #: Codecs of VIDEO → names of CompressedImage.
 _FOUR_LETTERS = {"H264": "h264", "X265": "h265", "O265": "h265", "VP90": "vp9", "AV10": "av1"}
+#: Messages whose pictures show the range of a stream.
+_SOME = 10
 _VIDEO_DECODERS = {"h264": "h264", "h265": "hevc", "vp9": "vp9", "av1": "libdav1d"}
 
 
@@ -53,16 +55,13 @@ def has_pictures(stream: Stream) -> bool:
     return stream.type in _PLAIN or stream.type in _CODED
 
 
-def first_pixels(stream: Stream) -> Array:
-    """Return the pixels of the first picture as they are.  Raises ConfigError if a stream has none."""
-    if stream.type in _PLAIN:
-        return stream.images_of([next(stream.blocks())])[0].plane
-    coded = _Coded(stream)
-    found = (coded.read(block, row) for block in stream.blocks() for row in range(len(block)))
-    first = next((each for each in found if each is not None), None)
-    if first is None:
-        raise ConfigError(f"{stream.key}: found no picture that can be decoded")
-    return first
+def some_pixels(stream: Stream) -> Iterator[Array]:
+    """Yield the pixels of pictures as they are, of about 10 messages from the first to the last."""
+    decoder, step = (_Plain(stream) if stream.type in _PLAIN else _Coded(stream)), max(len(stream) // _SOME, 1)
+    for index, (_, block, row) in enumerate(_numbered(stream.blocks())):
+        pixels = decoder.read(block, row, Want.NOTHING if index % step else Want.PIXELS)
+        if pixels is not None and not index % step:
+            yield pixels
 
 
 class Pictures:

@@ -110,9 +110,12 @@ RULES = {
 
 
 def test_each_kind_of_stream_has_its_rule(tmp_path: Path) -> None:
-    path = session(tmp_path / "s.mcap", {TOOL: 20, JOINTS: 20, FAST: 10, SLOW: 1, FORCE: 20, "STRING/Note": 0.8})
+    rates = {TOOL: 20, JOINTS: 20, FAST: 10, SLOW: 1, FORCE: 20, "STRING/Note": 0.8, "SENSOR/Once": 0.25}
+    path = session(tmp_path / "s.mcap", rates)
     with igtl_gateway.open(path) as recording:
-        (tmp_path / "r.toml").write_text(draft(recording).text, "utf-8")
+        text = draft(recording).text
+        (tmp_path / "r.toml").write_text(text, "utf-8")
+        assert "#   SENSOR/Once: found 1 message, expected 2 or more" in text
         with pytest.raises(
             ConfigError, match=r"--streams IMAGE/Slwo: matches no recorded stream; did you mean 'IMAGE/"
         ):

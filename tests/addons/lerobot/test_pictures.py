@@ -145,3 +145,13 @@ def test_a_draft_has_the_window_of_encoded_depth(tmp_path: Path) -> None:
     path = write_session(tmp_path / "s.mcap", [(0.1 * number, "/camera", form.at) for number in range(3)])
     with igtl_gateway.open(path) as recording:
         assert drafted_window(recording["/camera"]) == (form.pixels.min(), form.pixels.max())
+
+
+def test_a_black_first_picture_is_not_the_window_of_a_draft(tmp_path: Path) -> None:
+    pixels = [np.full((8, 8), 90 * number, np.uint16) for number in range(30)]
+    messages: list[Sent] = [
+        (0.1 * number, "IMAGE/Deep", Image((8, 8, 1), 5, each.tobytes())) for number, each in enumerate(pixels)
+    ]
+    with igtl_gateway.open(write_session(tmp_path / "s.mcap", messages)) as recording:
+        low, high = drafted_window(recording["IMAGE/Deep"])
+        assert low == 0 and high >= 0.9 * pixels[-1].max()
