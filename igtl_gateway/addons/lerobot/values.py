@@ -38,6 +38,8 @@ _ORIENTATION_NAMES = {
 MAX_NUMBERS = 4096
 #: Columns of a table that are not numbers of the message.
 _HEADS = ("entry", "time_ns", "source_ns")
+#: End of the names of columns with ns since 1970.
+_STAMP = "stamp_ns"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,7 +144,8 @@ def _value_columns(table: Any) -> list[str]:
             or pa.types.is_string(kind)
         )  # fmt: skip
 
-    return [each.name for each in table.schema if each.name not in _HEADS and is_value(each.type)]
+    names = [each.name for each in table.schema if each.name not in _HEADS and is_value(each.type)]
+    return [each for each in names if not each.endswith(_STAMP)]
 
 
 def _check_lengths(table: Any, fields: Sequence[str]) -> None:
@@ -166,6 +169,11 @@ def _columns(stream: Stream, fields: Sequence[str], row: Feature) -> Values:
     table, rows = stream.arrow_and_rows()
     known = _value_columns(table)
     for name in fields:
+        if name.endswith(_STAMP):
+            raise ConfigError(
+                f"fields: found {name!r}, of which float32 keeps steps of minutes, expected another column; "
+                "stamps = true in [dataset] has stamps"
+            )
         if name not in known:
             raise ConfigError(f"fields: found {name!r}, expected columns of {stream.key}, {one_of(name, known)}")
     _check_lengths(table, fields)

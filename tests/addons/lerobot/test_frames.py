@@ -199,6 +199,7 @@ def test_a_measured_lag_is_subtracted_and_an_unknown_one_refused(tmp_path: Path)
     [
         ('stream = "TRANSFORM/Other"', "feature\\[1\\].stream: .*found no stream"),
         (f'stream = "{ARM}"\nfields = ["x"]', "feature\\[1\\]: fields: found 'x', expected columns of"),
+        (f'stream = "{ARM}"\nfields = ["header.stamp_ns"]', "of which float32 keeps steps of minutes, expected"),
         (f'stream = "{ARM}"\nnames = ["a"]', "feature\\[1\\].names: found 1 name, expected 7"),
         ('stream = "STRING/A"\nrule = "interpolate"', "feature\\[1\\].rule: found interpolate for a string"),
         ('stream = "IMAGE/Deep"', "found pictures in IMAGE/Deep"),
