@@ -55,7 +55,7 @@ errors, or no file has what the options name.
 Tables and columns: docs/how-to/cohort.md"""
 
 QUERY, REPORT = "query", "report"
-_FIRST_QUESTION = "SELECT status, count(*) n FROM tasks GROUP BY status"
+_FIRST_QUESTION = "SELECT status, count(*) FROM tasks GROUP BY 1"
 _ACTIONS = (*VERB_NAMES, EXPORT, QUERY, REPORT)
 #: Verb → options that only it has.
 _OF_A_VERB = {"review": ("plan", "cloud", "tool"), "sync": ("stream", "pair", "max_lag")}
