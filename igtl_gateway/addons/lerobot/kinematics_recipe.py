@@ -313,3 +313,5 @@ def _check_joints(row: JointsRow, place: str) -> None:
         found: tuple[Any, ...] = getattr(row, name)
         if found and len(found) != len(row.position):
             raise ConfigError(f"{place}.{name}: found {counted(len(found), 'value')}, expected {len(row.position)}")
+    if not row.names and len(set(map(str, row.position))) < len(row.position):
+        raise _wrong(f"{place}.position", list(row.position), "different columns, or names")

@@ -47,7 +47,8 @@ def size_of(path: Path) -> int:
 def near_file(path: Path) -> str:
     """Return what follows the message that there is no such file: the nearest names, of a missing folder its own."""
     missing = path if path.parent.is_dir() else path.parent
-    near = near_names(missing.name, _names_in(missing.parent)) if missing.name else []
+    names = [each for each in _names_in(missing.parent) if each != missing.name]  # a link to nothing has its own
+    near = near_names(missing.name, names) if missing.name else []
     question = did_you_mean(str(missing.parent / each) for each in near)
     there = "" if missing is path else f": there is no folder {missing}"
     return there + (f"; {question}" if question else "")

@@ -239,6 +239,7 @@ BAD = [
     ("", "found no stream, expected [[video]], [[table.pose]] or [[table.joints]]"),
     ("[[video", "recipe.toml: "),
     (TABLE.replace('["yaw", "pitch"]', '["yaw", "word"]'), "joints[0].position: kinematics.csv: word: found string"),
+    (TABLE.replace('["yaw", "pitch"]', '["yaw", "yaw"]'), "position: found ['yaw', 'yaw'], expected different columns"),
     (TABLE.replace('time = "stamp"', 'time = "back"'), "row 3: back: found 1, expected more than 2 of the row before"),
     (TABLE.replace('time = "stamp"', 'time = "hole"'), "row 2: hole: found nan, expected a time in ns before 2038"),
     (JIGSAWS.replace("[42, 43, 44, 45, 46, 47, 48, 49, 50]", "[1, 2, 3, 4, 5, 6, 7, 8, 9]"), "of length 1"),

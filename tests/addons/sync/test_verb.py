@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -296,6 +297,17 @@ def test_unreadable_streams_are_left_out_and_named(tmp_path: Path, capsys: pytes
     shown = capsys.readouterr()
     assert "1 ok" in shown.out
     assert "1 with unreadable streams" in shown.out
+
+
+def test_a_recording_that_was_cut_off_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The verb measures what is there: alone and of a folder it states that the end is missing."""
+    path = tmp_path / "session.mcap"
+    _with_unreadable(path, 2)
+    size = path.stat().st_size - 100
+    os.truncate(path, size)
+    for source in (path, tmp_path):
+        assert main(["sync", str(source)]) == 1
+        assert f"note: {path}: was cut off after {size:,} bytes; " in " ".join(capsys.readouterr().err.split())
 
 
 def test_too_few_streams_because_others_are_unreadable(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
