@@ -12,7 +12,7 @@ from threading import Lock
 
 from igtl_gateway.addon.reading import Recording, open_recording
 from igtl_gateway.addons.lerobot.pictures import PictureReader, Pixels, Place
-from igtl_gateway.addons.lerobot.recorded_sessions import KnownRecording, PictureSource
+from igtl_gateway.addons.lerobot.recorded_sessions import Files, KnownRecording, PictureSource
 
 #: Recordings that are open at a time.
 MOST_OPEN = 32
@@ -31,18 +31,22 @@ class OpenRecordings:
     def __init__(self, recordings: Sequence[KnownRecording], inherited: OpenRecordings | None = None) -> None:
         self.pid = os.getpid()
         self._recordings, self._inherited, self._lock = recordings, inherited, Lock()
-        self._checked: set[int] = set()
+        self._files: dict[int, Files] = {}
         self._open: OrderedDict[int, tuple[Recording, dict[PictureSource, PictureReader]]] = OrderedDict()
 
     def check(self, number: int) -> None:
         """Check a recording at its first use in this process.  Raises GatewayError if it has changed."""
-        if number not in self._checked:
-            self._recordings[number].check()
-            self._checked.add(number)
+        if number not in self._files:
+            self._compare(number)
+
+    def _compare(self, number: int) -> None:
+        self._files[number] = self._recordings[number].check(self._files.get(number, ()))
 
     def picture(self, number: int, source: PictureSource, place: Place) -> Pixels:
-        """Return a picture of a recording, as ``PictureReader.rgb`` does.  Raises GatewayError."""
+        """Return a picture, as ``PictureReader.rgb`` does.  Raises GatewayError, also if the recording has changed."""
         with self._lock:
+            # the index in memory also fits a file that was written over it, with pictures of another session
+            self._compare(number)
             recording, readers = self._use(number)
             if source not in readers:
                 readers[source] = PictureReader(recording[source.stream], source.window, source.depth_mm)
@@ -61,9 +65,7 @@ class OpenRecordings:
             return self._open[number]
         if len(self._open) >= MOST_OPEN:
             self._open.popitem(last=False)[1][0].close()
-        known = self._recordings[number]
-        known.check()
-        self._open[number] = open_recording(known.path), {}
+        self._open[number] = open_recording(self._recordings[number].path), {}
         return self._open[number]
 
     def close(self) -> None:

@@ -27,6 +27,8 @@ from igtl_gateway.addons.lerobot.splits import ranges_of
 from igtl_gateway.addons.lerobot.writing import own_columns
 
 Array = npt.NDArray[Any]
+#: Name, size in bytes and time of the last change (ns) of each file of a recording.
+Files = tuple[tuple[str, int, int], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,18 +38,25 @@ class KnownRecording:
     Attributes:
         path: of the file, or of the folder of a split recording.
         sha256: of its content.
-        files: name, size in bytes and time of the last change (ns) of each of its files.
+        files: its files.
     """
 
     path: Path
     sha256: str
-    files: tuple[tuple[str, int, int], ...]
+    files: Files
 
-    def check(self) -> None:
-        """Raise GatewayError if its content is another one now: files whose times alone differ are read."""
+    def check(self, last: Files = ()) -> Files:
+        """Return its files as they are now.
+
+        Args:
+            last: files that an earlier check returned: others whose times alone differ are read.
+
+        Raises GatewayError if its content is another one now.
+        """
         try:
-            if files_of(self.path) == self.files or content_digest(self.path) == self.sha256:
-                return
+            found = files_of(self.path)
+            if found in (self.files, last) or content_digest(self.path) == self.sha256:
+                return found
         except OSError as error:
             raise GatewayError(f"{self.path}: {error.strerror}, expected the recording of the data set") from None
         raise GatewayError(
@@ -189,7 +198,7 @@ def _in_order(known: KnownRecording, columns: SessionColumns, recipe: Recipe, sc
         return _columns(build(recording, recipe, Place(names=schema.names)))
 
 
-def files_of(path: Path) -> tuple[tuple[str, int, int], ...]:
+def files_of(path: Path) -> Files:
     """Return name, size and time of the last change of the files of a recording.  Raises OSError."""
     files = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
     facts = [(each.relative_to(path).as_posix(), each.stat()) for each in files]
