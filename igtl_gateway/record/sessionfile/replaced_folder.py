@@ -108,6 +108,9 @@ def _check(path: Path) -> None:
         raise GatewayError(f"cannot write to {path}: it is a mount point, expected a folder in it")
     if Path.cwd().is_relative_to(path.resolve()):  # it would be the one that is removed
         raise GatewayError(f"cannot write to {path}: the working directory is in it, expected one outside of it")
+    for folder, _, _ in os.walk(path):  # neither could it be renamed, nor what is in it be removed
+        if not os.access(folder, os.W_OK):
+            raise GatewayError(f"cannot write to {path}: {folder} is read-only, expected a folder to write to")
 
 
 def _rename(place: Path, path: Path, before: Path) -> None:

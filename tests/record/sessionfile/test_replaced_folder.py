@@ -103,6 +103,12 @@ def test_what_cannot_be_replaced(folder: Path, monkeypatch: pytest.MonkeyPatch) 
     for path, text in cases.items():
         with pytest.raises(GatewayError, match=text), replaced_folder(path):
             raise AssertionError("it began")
+    access = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path).name != "below" and access(path, mode))
+    with pytest.raises(GatewayError, match=f"{folder / 'below'} is read-only"):
+        replace(folder)
+    assert sorted(os.listdir(folder.parent)) == ["link", folder.name]
+    monkeypatch.undo()
     monkeypatch.chdir(folder / "below")
     with pytest.raises(GatewayError, match="the working directory is in it"):
         replace(folder)
