@@ -166,7 +166,8 @@ def describe(
                 else f"found the content of {printable(other.path)} in {printable(each.path)}, too, expected each "
                 "session once"
             )
-    if there := [_renamed(each.name, known[each.sha256]) for each in found if known and each.sha256 in known]:
+    names = zip(found, distinct_names([each.path for each in found]), strict=True)
+    if there := [_known(each, name, known[each.sha256]) for each, name in names if known and each.sha256 in known]:
         raise ConfigError(
             f"the data set has {count_text(len(there), 'of these sessions', 'of these sessions')} already: "
             f"{_few(there)}; expected others"
@@ -174,8 +175,8 @@ def describe(
     return found
 
 
-def _renamed(name: str, known: str) -> str:
-    return name if name == known else f"{name}, there as {known}"
+def _known(session: Described, name: str, known: str) -> str:
+    return name if session.name == known else f"{name}, there as {known}"
 
 
 def distinct_names(paths: Sequence[str]) -> list[str]:

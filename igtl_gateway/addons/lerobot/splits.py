@@ -47,7 +47,7 @@ def has_ranges(splits: Mapping[str, Value] | None) -> bool:
 
 
 def group_of(path: str, patient: str) -> str:
-    """Return the name of the session at a path, or that of its patient.
+    """Return the name of the session at a path, or that of its patient; bytes that are not UTF-8 are escaped.
 
     Args:
         path: of the recording.
@@ -55,7 +55,7 @@ def group_of(path: str, patient: str) -> str:
 
     Raises ConfigError for a path that is not like the pattern.
     """
-    where = PurePath(path)
+    where = PurePath(path.encode("utf-8", "backslashreplace").decode())
     name = where.name.removesuffix(where.suffix)
     if not patient:
         return name

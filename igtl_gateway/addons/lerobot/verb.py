@@ -132,7 +132,7 @@ def export_set(options: argparse.Namespace, files: Sequence[Path], do: Runner | 
     except GatewayError as error:
         text = str(error)
         places = [str(place) for file in files for place in (file, file.absolute())]
-        known = str(recipe), *places, str(options.output), "cannot write", "the data set"
+        known = str(recipe), *places, str(options.output), str(options.output.resolve()), "cannot write", "the data set"
         raise type(error)(text if text.startswith(known) else f"{recipe}: {text}") from None
     except OSError as error:
         raise write_error(options.output, error) from None

@@ -188,6 +188,8 @@ def test_sessions_that_do_not_fit(study: Path, tmp_path: Path, capsys: pytest.Ca
     assert "already: P01_a.mcap; expected others" in error(good, study / "P01_a.mcap")
     (renamed := tmp_path / "P01_z.mcap").write_bytes((study / "P01_a.mcap").read_bytes())
     assert "already: P01_z.mcap, there as P01_a.mcap; expected others" in error(renamed)
+    (broken := tmp_path / "broken").symlink_to("nowhere")
+    assert f" export: {tmp_path / 'nowhere'}: No such folder" in error(good, out=broken)
     assert "meta/recipe.toml: few.mcap: feature[1] (observation.joints" in error(wrong["few.mcap"], recipe="")
     assert "1 of 2 sessions do not fit: wide.mcap: feature[3]" in error(good, wrong["wide.mcap"])
     assert "r.toml: dataset.fps: found 20, expected 10 as in" in error(good, recipe=own.replace("fps = 10", "fps = 20"))

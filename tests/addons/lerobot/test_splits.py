@@ -78,6 +78,7 @@ def test_groups_get_splits(splits: Any, frames: dict[str, int], expected: dict[s
 
 
 def test_patients_are_a_part_of_the_path() -> None:
+    assert group_of("/data/b\udcff.mcap", "") == "b\\udcff"  # bytes that are not UTF-8
     assert group_of("/data/P01/run.mcap", "") == "run" and group_of("/data/P01/run.mcap", "{patient}/*") == "P01"
     assert group_of("/data/P01_2026_a.mcap", "{patient}_*") == "P01"
     assert group_of("/data/2026_P01.mcap", "*_{patient}") == "P01"
