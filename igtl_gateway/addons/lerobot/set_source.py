@@ -346,6 +346,11 @@ class SetSource(NonRosSource):
 
     def _add_notes(self, chosen: Sequence[FoundEpisode]) -> None:
         found = self._found
+        there = (len(found.episodes), sum(each.length for each in found.episodes))
+        stated = (found.info["total_episodes"], found.info["total_frames"])
+        if there != stated:  # a list that lost a line: nothing else knows of its episode
+            one, other = (f"{counted(each[0], 'episode')} and {counted(each[1], 'frame')}" for each in (stated, there))
+            self.notes.append(f"meta/info.json has {one}, the list of episodes {other}")
         if len(chosen) < len(found.episodes):
             numbers = f"{len(chosen):,} of {count_text(len(found.episodes), 'episode')}"
             self.notes.append(f"{numbers}: {_list([each.index for each in chosen])}")

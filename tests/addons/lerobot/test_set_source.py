@@ -325,6 +325,7 @@ def test_what_is_not_taken_is_named(sets: Path, tmp_path: Path, capsys: pytest.C
     root = shutil.copytree(sets / "v2.1", tmp_path / "set")
     feature("observation.audio.room", dtype="audio", shape=[1])(root)
     feature(VIEW, info={"is_depth_map": True})(root)
+    info(total_frames=11)(root)
     (root / "LICENSE").write_text("none", "utf-8")
     assert main(["import", str(root), "-o", str(tmp_path / "s.mcap"), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -335,6 +336,8 @@ def test_what_is_not_taken_is_named(sets: Path, tmp_path: Path, capsys: pytest.C
         }
     ]  # fmt: skip
     assert [row["why"] for row in told["rows"] if row["stream"] == VIEW] == ["depth in a video is not imported"]
+    totals = "meta/info.json has 2 episodes and 11 frames, the list of episodes 2 episodes and 10 frames"
+    assert totals in told["notes"]
     assert any(note.startswith("not imported: LICENSE, meta/README.md") for note in told["notes"])
 
 
