@@ -25,7 +25,7 @@ Times = npt.NDArray[np.int64]
 LATEST_NS = NS_PER_S << 31
 #: Names of columns that an error lists.
 _LISTED = 8
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|NaN)")
+_NUMBER = re.compile(r"[+-]?([0-9]{1,40}\.?[0-9]{0,40}|\.[0-9]{1,40})([eE][+-]?[0-9]{1,3})?|[+-]?(nan|inf|NaN)")
 _BLANKS, _OUTER = re.compile(rb"[ \t]+"), re.compile(rb"(?m)^[ \t]+|[ \t\r]+$")
 
 
