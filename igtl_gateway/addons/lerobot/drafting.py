@@ -94,7 +94,8 @@ def draft(recording: Recording, globs: Sequence[str] = ()) -> Draft:
     taken: set[str] = set()
     # the state first: without it there is no data set
     candidates = list(_candidates(recording, good, joined, left_out, of_set, is_named=bool(globs)))
-    for candidate in sorted(candidates, key=lambda each: (_order(each), -_length(coverage(each.samples)))):
+    for found in sorted(candidates, key=lambda each: (_order(each), -_length(coverage(each.samples)))):
+        candidate = _own_name(found, taken)
         has = coverage(candidate.samples)
         both = common(covered, has) if chosen else has
         if not _frames(both, _fps(_giver([*chosen, candidate], is_named=bool(globs)))):
@@ -141,6 +142,19 @@ def _order(candidate: _Candidate) -> int:
     return 0 if name == STATE else 1 if name == ACTION else 2 if candidate.feature.is_picture else _OTHERS
 
 
+def _own_name(candidate: _Candidate, taken: set[str]) -> _Candidate:
+    """A row with the whole name of its stream where another row has its name: the force of the second arm."""
+    feature = candidate.feature
+    if feature.name in (STATE, ACTION) or feature.name not in taken:
+        return candidate
+    name = f"{feature.name.rpartition('.')[0]}.{_word(feature.stream)}"
+    return replace(candidate, feature=replace(feature, name=name))
+
+
+def _word(name: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_]+", "_", name).strip("_").lower()
+
+
 def _length(intervals: list[tuple[int, int]]) -> int:
     return sum(min(end, 1 << 62) - start + 1 for start, end in intervals)
 
@@ -178,7 +192,7 @@ def _candidates(
 
 def _feature(stream: Stream) -> Feature:
     """A row for a stream.  Raises ConfigError if nothing in it fits."""
-    name = re.sub(r"[^A-Za-z0-9_]+", "_", stream.name.rpartition("/")[2]).strip("_").lower() or "unnamed"
+    name = _word(stream.name.rpartition("/")[2]) or "unnamed"
     if has_pictures(stream):
         view = re.sub(r"[^A-Za-z0-9_]+", "_", stream.name.replace("IMAGE/", "").strip("/")).lower() or "view"
         return Feature(f"{IMAGES}{view}", stream.key, window=_window(stream))

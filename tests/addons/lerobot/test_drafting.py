@@ -124,6 +124,16 @@ def test_each_kind_of_stream_has_its_rule(tmp_path: Path) -> None:
     assert rows == RULES
 
 
+def test_streams_of_one_last_name_have_rows_of_their_own(tmp_path: Path) -> None:
+    """The notes of two arms."""
+    one, two = "STRING/PSM1/Note", "STRING/PSM2/Note"
+    with igtl_gateway.open(session(tmp_path / "s.mcap", {TOOL: 20, one: 2, two: 2})) as recording:
+        (tmp_path / "r.toml").write_text(draft(recording).text, "utf-8")
+    names = {row.stream: row.name for row in read_recipe(tmp_path / "r.toml").features if row.stream}
+    whole = {"observation.meta.string_psm1_note", "observation.meta.string_psm2_note"}
+    assert {names[one], names[two]} - whole == {"observation.meta.note"}
+
+
 def test_what_the_rate_leaves_out_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """12 s of a tool at 100 Hz beside a picture each second: not nine frames."""
     path = session(tmp_path / "s.mcap", {TOOL: 100, SLOW: 1}, 6.0)
