@@ -14,7 +14,15 @@ from typing import Any
 from igtl_gateway.addon import NS_PER_S, ConfigError, GatewayError, streams_expected
 from igtl_gateway.addon.notes import StampCorrection
 from igtl_gateway.addon.reading import Kind, Recording, Stream, open_recording
-from igtl_gateway.addon.terminal import aligned, clear_live_line, count_text, counted, print_json, print_line
+from igtl_gateway.addon.terminal import (
+    aligned,
+    clear_live_line,
+    count_text,
+    counted,
+    is_terminal,
+    print_json,
+    print_line,
+)
 from igtl_gateway.addon.writing import check_target, write_text, written
 from igtl_gateway.addons.sync import plot
 from igtl_gateway.addons.sync.correcting import write_corrected
@@ -64,7 +72,8 @@ def _measured(
     with ExitStack() as stack:
         opened = [stack.enter_context(open_recording(path)) for path in paths]
         for warning in chain.from_iterable(each.warnings for each in opened):
-            clear_live_line(error=True)  # of a folder
+            if is_terminal(error=True):  # of a folder
+                clear_live_line(error=True)
             print_line(f"note: {warning}", error=True)
         signals, unreadable = _signals(opened, options)
         pairs = _pairs(opened, options)
