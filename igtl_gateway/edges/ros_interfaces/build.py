@@ -340,11 +340,19 @@ def main(arguments: list[str]) -> None:
     interfaces = tuple(path.relative_to(folder) for path in files)
     (place,) = libraries or [f"{prefix}/lib"]
     package = Package(name, folder, Path(prefix), Path(work), place, interfaces)
-    report = _Report()
-    _end_with_parent(package.work)
+    is_ending = _end_with_parent(package.work)
+    try:
+        _compile(package)
+    finally:
+        if is_ending.is_set():  # its processes are gone, which is an error here: the end comes from there
+            threading.Event().wait()
+
+
+def _compile(package: Package) -> None:
+    folder, report = package.definitions, _Report()
     generate(package, report)
     extension = compile_extension(package, report)
-    result = package.work / "result" / name
+    result = package.work / "result" / package.name
     for kind in package.kinds:
         (result / kind).mkdir(parents=True)
         for path in [*package.generated.glob(f"{kind}/*.py"), *folder.glob(f"{kind}/*.{kind}")]:
@@ -360,8 +368,8 @@ def _sync(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-def _end_with_parent(work: Path) -> None:
-    """Leave nothing behind if the program that has started this one is gone."""
+def _end_with_parent(work: Path) -> threading.Event:
+    """Leave nothing behind if the program that has started this one is gone; return whether this is under way."""
     own, is_ending = os.getpid(), threading.Event()
 
     def on_signal(_number: int, _frame: Any) -> None:
@@ -384,6 +392,7 @@ def _end_with_parent(work: Path) -> None:
 
     signal.signal(signal.SIGTERM, on_signal)
     threading.Thread(target=watch, daemon=True).start()
+    return is_ending
 
 
 if __name__ == "__main__":

@@ -38,7 +38,7 @@ def processes_with(mark: str) -> list[str]:
     found = []
     for place in Path("/proc").glob("[0-9]*"):
         try:
-            command = (place / "cmdline").read_bytes().decode()
+            command = os.fsdecode((place / "cmdline").read_bytes())
             if mark.encode() in (place / "environ").read_bytes() or mark in command:
                 found.append(command)
         except OSError:
