@@ -342,13 +342,13 @@ def main(arguments: list[str]) -> None:
     package = Package(name, folder, Path(prefix), Path(work), place, interfaces)
     is_ending = _end_with_parent(package.work)
     try:
-        _compile(package)
+        _make(package)
     finally:
         if is_ending.is_set():  # its processes are gone, which is an error here: the end comes from there
             threading.Event().wait()
 
 
-def _compile(package: Package) -> None:
+def _make(package: Package) -> None:
     folder, report = package.definitions, _Report()
     generate(package, report)
     extension = compile_extension(package, report)
