@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from igtl_gateway.base.quantities import count_text as count_text
     from igtl_gateway.base.quantities import counted as counted
     from igtl_gateway.base.quantities import duration_text as duration_text
+    from igtl_gateway.base.quantities import few_text as few_text
     from igtl_gateway.base.quantities import moment_text as moment_text
     from igtl_gateway.base.quantities import offset_text as offset_text
     from igtl_gateway.base.quantities import rate_text as rate_text
@@ -72,7 +73,7 @@ HOMES: Homes = (
     ("base.natural", "natural"),
     (
         "base.quantities",
-        "by_count count_text counted duration_text moment_text offset_text rate_text seconds_text size_text",
+        "by_count count_text counted duration_text few_text moment_text offset_text rate_text seconds_text size_text",
     ),
     ("cli.merge_output", "print_merge"),
     # What the user may run next

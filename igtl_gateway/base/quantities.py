@@ -5,6 +5,8 @@ Files and JSON have numbers in one unit; what a person reads has at most four di
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from igtl_gateway.base.stamp import NS_PER_S
 
 _MINUTE, _HOUR, _DAY, _YEAR = 60, 3_600, 86_400, 365.25 * 86_400
@@ -25,6 +27,13 @@ def count_text(number: int, thing: str, things: str = "") -> str:
 def counted(number: int, thing: str, things: str = "") -> str:
     """``1 byte``, ``1234 bytes``: of what a message or a file has, as its format counts it."""
     return f"{number} {thing if number == 1 else things or thing + 's'}"
+
+
+def few_text(values: Iterable[object], most: int) -> str:
+    """``a, b and 3 more``: the first values of a list, and the number of the others."""
+    listed = list(values)
+    more = f" and {len(listed) - most:,} more" if len(listed) > most else ""
+    return ", ".join(map(str, listed[:most])) + more
 
 
 def by_count(number: int, one: str, several: str) -> str:

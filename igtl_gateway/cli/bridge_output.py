@@ -228,7 +228,7 @@ class TextOutput:
             print_line(f"  connections rejected, {reason}: {number:,}")
         for cause, number in sorted(self._repeats.items(), key=lambda item: natural(self._firsts[item[0]].text)):
             first = self._firsts[cause]
-            # what is no trouble was shown each time
+            # notes without trouble were printed each time
             if number > 1 and (first.level is not Level.INFO or first.code == FAULT) and first.code not in _EACH:
                 print_line(f"  {count_text(number, 'time')}: {first.text}")
         if bridge.summary:

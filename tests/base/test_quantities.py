@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from igtl_gateway.base.quantities import (
     count_text,
     duration_text,
+    few_text,
     moment_text,
     offset_text,
     rate_text,
@@ -73,3 +74,9 @@ def test_offsets_sizes_rates_and_counts() -> None:
     assert [count_text(number, "entry", "entries") for number in (0, 1, 1234)] == [
         "0 entries", "1 entry", "1,234 entries",
     ]  # fmt: skip
+
+
+def test_the_first_few_of_a_list() -> None:
+    assert few_text([], 2) == ""
+    assert few_text(["a", 2], 2) == "a, 2"
+    assert few_text(iter(range(1_235)), 1) == "0 and 1,234 more"

@@ -44,7 +44,7 @@ _MOST_FINDINGS = 1_000
 def check_rules(root: Path, notes: list[str] | None = None) -> tuple[FoundDataSet | None, list[str]]:
     """Check a data set against the published rules, and return it with the findings; None if it cannot be read.
 
-    ``notes`` gets what is no finding, but not as in our sets.
+    Differences from our sets which are not findings are added to ``notes``.
     """
     try:
         found = read_data_set(root)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from igtl_gateway.addon import GatewayError
-from igtl_gateway.addon.terminal import by_count, count_text
+from igtl_gateway.addon.terminal import by_count, count_text, few_text
 from igtl_gateway.addon.untrusted import printable
 from igtl_gateway.addons.lerobot.provenance import ExportedEpisode, exported_episodes, origins
 from igtl_gateway.addons.lerobot.reading import FoundDataSet
@@ -104,5 +104,4 @@ def _names(found: FoundDataSet) -> Iterator[str]:
 
 
 def _few(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _MOST:,} more" if len(names) > _MOST else ""
-    return ", ".join(map(printable, names[:_MOST])) + more
+    return few_text(map(printable, names), _MOST)

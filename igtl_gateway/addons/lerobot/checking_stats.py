@@ -20,7 +20,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from igtl_gateway.addon import GatewayError
-from igtl_gateway.addon.terminal import count_text
+from igtl_gateway.addon.terminal import count_text, few_text
 from igtl_gateway.addons.lerobot.assembling import number_totals
 from igtl_gateway.addons.lerobot.columns import is_numeric, matrix_of
 from igtl_gateway.addons.lerobot.depth import has_codes
@@ -61,7 +61,7 @@ class StatsCheck:
 
     Args:
         found: the data set.
-        notes: gets what is no finding.
+        notes: a list to which notes are added.
     """
 
     def __init__(self, found: FoundDataSet, notes: list[str]) -> None:
@@ -186,8 +186,7 @@ class StatsCheck:
                 count = count_text(len(numbers), "episode")
                 yield f"episode {numbers[0]}: stats of {name}: found none ({count}), expected them"
         if everywhere:
-            more = f" and {len(everywhere) - _LISTED:,} more" if len(everywhere) > _LISTED else ""
-            self._notes.append(f"no episode has statistics of {', '.join(everywhere[:_LISTED])}{more}")
+            self._notes.append(f"no episode has statistics of {few_text(everywhere, _LISTED)}")
 
     def _total_quantiles(self, stats: Mapping[str, Any]) -> Iterator[str]:
         """Quantiles of the set that are neither its own nor the mean of those of the episodes."""

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.addon import ConfigError, GatewayError
-from igtl_gateway.addon.terminal import count_text
+from igtl_gateway.addon.terminal import count_text, few_text
 from igtl_gateway.addon.untrusted import check_limit, printable, read_bytes
 from igtl_gateway.addon.writing import make_folder, written_folder
 from igtl_gateway.addons.lerobot.assembling import Part, SetSoFar, assemble, split_ranges
@@ -273,8 +273,7 @@ def splits_of_groups(
 
 
 def _few(names: Iterable[str]) -> str:
-    texts = [printable(each) for each in names]
-    return ", ".join(texts[:_MOST]) + (f" and {len(texts) - _MOST:,} more" if len(texts) > _MOST else "")
+    return few_text(map(printable, names), _MOST)
 
 
 def write_parts(

@@ -155,7 +155,7 @@ class PictureReader:
         Depth is in mm; of other pictures only shape and type count: encoded ones are not converted to RGB, which takes
         longer than to decode them.
 
-        Raises ConfigError for what is not read.
+        Raises ConfigError for forms that are not read.
         """
         begin_ns, want = 0, Want.PIXELS if self._depth_mm else Want.SHAPE
         for index, (at, block, row) in enumerate(_numbered(self._stream.blocks())):
@@ -203,7 +203,7 @@ class PictureReader:
         return (block.where((block.times >= start_ns) & (block.times < end_ns)) for block in self._held)
 
     def _checked(self, plane: Array) -> Array:
-        """The pixels (rows, columns, components), of depth in mm.  Raises ConfigError for what is not exported."""
+        """The pixels (rows, columns, components), of depth in mm.  Raises ConfigError for other forms."""
         if plane.ndim == 2:
             plane = plane[:, :, np.newaxis]
         key = self._stream.key
@@ -262,7 +262,7 @@ class _Plain:
         """Forget what was read."""
 
     def read(self, block: MessageBlock, row: int, want: Want = Want.PIXELS) -> Array | None:
-        """Return a picture, or None for a damaged or an empty message.  Raises ConfigError for what is not read."""
+        """Return a picture, or None for a damaged or an empty message.  Raises ConfigError for other forms."""
         try:
             view = self._stream.images_of([block])[row]
             plane = view.plane

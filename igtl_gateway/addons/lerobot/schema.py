@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass
 from statistics import median
 from typing import Any
 
+from igtl_gateway.addon.terminal import few_text
 from igtl_gateway.addon.untrusted import printable
 from igtl_gateway.addons.lerobot.recipe import Recipe
 
@@ -231,8 +232,7 @@ def _names(found: Sequence[str], expected: Sequence[str]) -> str:
 
 
 def _list(values: Sequence[str]) -> str:
-    more = f" and {len(values) - _MOST:,} more" if len(values) > _MOST else ""
-    return ", ".join(printable(each) or "none" for each in values[:_MOST]) + more if values else "none"
+    return few_text((printable(each) or "none" for each in values), _MOST) or "none"
 
 
 def _size(size: Sequence[int]) -> str:

@@ -32,7 +32,7 @@ from igtl_gateway.addon import NS_PER_S, ConfigError, DamagedRecording
 from igtl_gateway.addon.messages import MULTI_ARRAYS, topic_token
 from igtl_gateway.addon.reading import Buffer, Kind, MarkNote
 from igtl_gateway.addon.ros import CompressedImage, CompressedVideo, Header, Image, JointState, PoseStamped, String
-from igtl_gateway.addon.terminal import count_text, counted
+from igtl_gateway.addon.terminal import count_text, counted, few_text
 from igtl_gateway.addon.untrusted import printable, whole_number
 from igtl_gateway.addons.exchange.source import ImportedItem, ImportedStream, NonRosSource, note_item
 from igtl_gateway.addons.lerobot.clips import decoded_frames, encoded_frames, format_of_frames
@@ -353,7 +353,7 @@ class SetSource(NonRosSource):
             self.notes.append(f"meta/info.json has {one}, the list of episodes {other}")
         if len(chosen) < len(found.episodes):
             numbers = f"{len(chosen):,} of {count_text(len(found.episodes), 'episode')}"
-            self.notes.append(f"{numbers}: {_list([each.index for each in chosen])}")
+            self.notes.append(f"{numbers}: {few_text([each.index for each in chosen], _LISTED)}")
         self.notes.append(self._times.note)
         if any(each.type == JointState.TYPE for each in self._streams):
             self.notes.append("numbers are as in the set, which states no units; JointState has them by name")
@@ -362,7 +362,7 @@ class SetSource(NonRosSource):
         if any(len(_task_of(each)) > _MOST_TEXT for each in chosen):
             self.notes.append(f"marks have the first {_MOST_TEXT:,} characters of a task, {TASK} has all")
         if others := _other_files(found.root):
-            self.notes.append(f"not imported: {_list(others)}")
+            self.notes.append(f"not imported: {few_text(others, _LISTED)}")
 
 
 def _mark(time_ns: int, mark: MarkNote) -> ImportedItem:
@@ -426,7 +426,7 @@ def _check_files(episodes: Sequence[FoundEpisode], found: FoundDataSet) -> None:
     missing = [path.relative_to(found.root) for path in paths if not path.is_file()]
     if missing:
         raise DamagedRecording(
-            f"{found.root}: found no {_list(missing)}, expected the {count_text(len(paths), 'file')} of "
+            f"{found.root}: found no {few_text(missing, _LISTED)}, expected the {count_text(len(paths), 'file')} of "
             f"{count_text(len(episodes), 'episode')}"
         )
 
@@ -452,8 +452,3 @@ def _other_files(root: Path) -> list[str]:
     every = [each.name for each in root.iterdir() if each.name not in ("data", "videos", "meta")]
     every += [f"meta/{each.name}" for each in (root / "meta").iterdir() if not each.name.startswith(_READ)]
     return [printable(name) for name in sorted(every) if not name.startswith(".")]
-
-
-def _list(values: Sequence[Any]) -> str:
-    more = f" and {len(values) - _LISTED:,} more" if len(values) > _LISTED else ""
-    return ", ".join(map(str, values[:_LISTED])) + more

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import PurePath
 
 from igtl_gateway.addon import ConfigError, matches
-from igtl_gateway.addon.terminal import counted
+from igtl_gateway.addon.terminal import counted, few_text
 
 #: Numbers and notes of one kind that are listed.
 MOST_LISTED = 10
@@ -215,12 +215,9 @@ def runs(numbers: Sequence[int]) -> str:
             found[-1][1] = number
         else:
             found.append([number, number])
-    more = f" and {len(found) - MOST_LISTED:,} more" if len(found) > MOST_LISTED else ""
-    texts = [str(first) if first == last else f"{first} to {last}" for first, last in found[:MOST_LISTED]]
-    return ", ".join(texts) + more
+    return few_text((first if first == last else f"{first} to {last}" for first, last in found), MOST_LISTED)
 
 
 def listed(numbers: Sequence[int]) -> str:
     """Return numbers as text, the first ``MOST_LISTED`` of them."""
-    more = f" and {len(numbers) - MOST_LISTED:,} more" if len(numbers) > MOST_LISTED else ""
-    return ", ".join(map(str, numbers[:MOST_LISTED])) + more
+    return few_text(numbers, MOST_LISTED)
