@@ -24,12 +24,14 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.addons.cohort.columns import TABLES
+from igtl_gateway.addons.sync.lag import Verdict
 from igtl_gateway.api.keywords import keywords
 from igtl_gateway.app.commands import SERVICE
 from igtl_gateway.app.mark_service import SERVICE as MARK_SERVICE
 from igtl_gateway.app.metrics import METRICS
 from igtl_gateway.app.recording import PAUSE, RESUME, SNAPSHOT, SPLIT, START, STOP
 from igtl_gateway.app.recording import TYPE as TRIGGER
+from igtl_gateway.app.replay_account import REASONS
 from igtl_gateway.app.replay_settings import REPLAY
 from igtl_gateway.app.ros_traffic import MARKS
 from igtl_gateway.base.extras import PURPOSES
@@ -1306,6 +1308,16 @@ def _extras() -> str:
     return table(("extra", "needed for"), ((f"`{extra}`", purpose) for extra, purpose in PURPOSES.items()))
 
 
+def _not_sent() -> str:
+    return table(
+        ("reason in `not_sent`", "the recorded messages"), ((f"`{name}`", text) for name, text in REASONS.items())
+    )
+
+
+def _verdicts() -> str:
+    return table(("verdict", "in words"), ((f"`{each.name.lower()}`", each.value) for each in Verdict))
+
+
 def _rules_of_plus() -> str:
     if str(ROOT) not in sys.path:
         sys.path.insert(0, str(ROOT))
@@ -1321,7 +1333,8 @@ PARTS: dict[str, dict[str, Callable[[], str]]] = {
     "how-to/crtk.md": {"names": _crtk_names, "codes": _command_codes},
     "how-to/faults.md": {"faults": _faults},
     "how-to/metrics.md": {"metrics": _metrics},
-    "reference/command-line.md": {"extras": _extras, "verbs": verbs},
+    "how-to/sync.md": {"verdicts": _verdicts},
+    "reference/command-line.md": {"extras": _extras, "reasons": _not_sent, "verbs": verbs},
     "how-to/python.md": {"replay": _keywords_of_replay},
     "reference/formats.md": {"rules of PLUS": _rules_of_plus},
     "reference/limits.md": {"limits": _file_limits},
