@@ -11,6 +11,7 @@ belongs into the docstring of its class, after ``Accepted:`` or ``Sent:`` where 
 from __future__ import annotations
 
 import argparse
+import ast
 import inspect
 import json
 import posixpath
@@ -24,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.addons.cohort.columns import TABLES
+from igtl_gateway.addons.cohort.jobs import VERBS
 from igtl_gateway.addons.sync.lag import Verdict
 from igtl_gateway.api.keywords import keywords
 from igtl_gateway.app.commands import SERVICE
@@ -1285,6 +1287,24 @@ def _command_codes() -> str:
     return table(("note", "reason"), ((f"`{code}`", meaning) for code, meaning in REFUSED_COMMANDS.items()))
 
 
+def _addon_modules() -> str:
+    """The modules of the door for add-ons, by the first line of their docstrings."""
+    lines = {
+        path.stem: (ast.get_docstring(ast.parse(path.read_text("utf-8"))) or "").partition("\n")[0]
+        for path in sorted((ROOT / "igtl_gateway" / "addon").glob("*.py"))
+        if path.stem not in ("__init__", "loading")
+    }
+    return table(
+        ("module", "what it has"),
+        ((f"`addon.{name}`", line.replace("``", "`").removesuffix(".")) for name, line in lines.items()),
+    )
+
+
+def _cohort_verbs() -> str:
+    rows = ((f"`{name}`", verb.help, ", ".join(f"`{each}`" for each in verb.tables)) for name, verb in VERBS.items())
+    return table(("verb", "what it does with each file", "tables"), rows)
+
+
 def _cohort_columns() -> str:
     return table(
         ("table", "columns"),
@@ -1329,11 +1349,12 @@ def _rules_of_plus() -> str:
 #: Page → name of a table → the table, which stands between a comment with its name and ``END``.
 PARTS: dict[str, dict[str, Callable[[], str]]] = {
     "how-to/black-box.md": {"kinds": _trigger_kinds},
-    "how-to/cohort.md": {"columns": _cohort_columns},
+    "how-to/cohort.md": {"verbs": _cohort_verbs, "columns": _cohort_columns},
     "how-to/crtk.md": {"names": _crtk_names, "codes": _command_codes},
     "how-to/faults.md": {"faults": _faults},
     "how-to/metrics.md": {"metrics": _metrics},
     "how-to/sync.md": {"verdicts": _verdicts},
+    "how-to/write-an-addon.md": {"modules": _addon_modules},
     "reference/command-line.md": {"extras": _extras, "reasons": _not_sent, "verbs": verbs},
     "how-to/python.md": {"replay": _keywords_of_replay},
     "reference/formats.md": {"rules of PLUS": _rules_of_plus},

@@ -43,7 +43,7 @@ class ReviewSelection:
 
 @dataclass(frozen=True, slots=True)
 class Thresholds:
-    """The limits that make a figure a reason; ``docs/how-to/review.md`` explains the defaults.
+    """The limits that make a figure a reason; the help of each has the reason of its default.
 
     The difference that ``reading_mm`` limits is also that of the surface from one of a window twice as wide.
     """
