@@ -979,6 +979,14 @@ def _verb(name: str, verb: Verb) -> str:
     return document(f"## {name}", str(parser.description), *parts, fenced(str(parser.epilog))).rstrip()
 
 
+def _options(verb: str, names: str) -> str:
+    """The table of some options of a verb; spaces separate their names."""
+    parser = argparse.ArgumentParser(add_help=False)
+    complete(parser, available()[verb])
+    found = {name: action for action in parser._actions for name in action.option_strings}
+    return table(("option", "meaning", "default"), (_option(found[name]) for name in names.split()))
+
+
 def fenced(text: str) -> str:
     return f"```text\n{text.strip()}\n```"
 
@@ -995,6 +1003,8 @@ def _option(action: argparse.Action) -> tuple[str, str, str]:
             metavar = f"{metavar} …"
     names = ", ".join(action.option_strings)
     text, _, default = (action.help or "").replace("%%", "%").partition(" (default: ")
+    if " (default: " in default:  # one for each kind, where it is explained
+        text, default = f"{text} (default: {default}", ""
     return f"`{f'{names} {metavar}'.strip()}`", _escape(text), _escape(default.removesuffix(")"))
 
 
@@ -1353,6 +1363,10 @@ PARTS: dict[str, dict[str, Callable[[], str]]] = {
     "how-to/crtk.md": {"names": _crtk_names, "codes": _command_codes},
     "how-to/faults.md": {"faults": _faults},
     "how-to/metrics.md": {"metrics": _metrics},
+    "how-to/scenarios.md": {"live": partial(_options, "simulate", "--record --view --duration --timeout --json")},
+    "how-to/security.md": {
+        "access": partial(_options, "bridge", "--listen --allow --tls --tls-cert --tls-key --tls-ca --max-clients")
+    },
     "how-to/sync.md": {"verdicts": _verdicts},
     "how-to/write-an-addon.md": {"modules": _addon_modules},
     "reference/command-line.md": {"extras": _extras, "reasons": _not_sent, "verbs": verbs},
