@@ -373,7 +373,7 @@ def topics_and_services(path: Path) -> Path:
     writer.start("ros2", "libmcap 1.1.0")
     writer.add_metadata("rosbag2", {"serialized_metadata": "version: 8"})
     for topic, kind, data, count in streams:
-        text = "# the definition of a service\n" if kind == event else ROS2.generate_msgdef(kind, ros_version=2)[0]
+        text = "int64 a\nint64 b\n---\nint64 sum\n" if kind == event else ROS2.generate_msgdef(kind, ros_version=2)[0]
         schema = writer.register_schema(kind, "ros2msg", text.encode())
         channel = writer.register_channel(topic, "cdr", schema, quality)
         for index in range(count):

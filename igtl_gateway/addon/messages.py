@@ -18,6 +18,15 @@ if TYPE_CHECKING:
     from igtl_gateway.convert.context import ConvertedMessage as ConvertedMessage
     from igtl_gateway.convert.context import ToIgtlContext as ToIgtlContext
     from igtl_gateway.convert.context import ToRosContext as ToRosContext
+    from igtl_gateway.convert.exchanges import ACTION_SERVICES as ACTION_SERVICES
+    from igtl_gateway.convert.exchanges import ACTION_TOPICS as ACTION_TOPICS
+    from igtl_gateway.convert.exchanges import IN_ACTION as IN_ACTION
+    from igtl_gateway.convert.exchanges import OUTCOMES as OUTCOMES
+    from igtl_gateway.convert.exchanges import SERVICE_EVENT as SERVICE_EVENT
+    from igtl_gateway.convert.exchanges import ServiceEvent as ServiceEvent
+    from igtl_gateway.convert.exchanges import action_of as action_of
+    from igtl_gateway.convert.exchanges import goal_states as goal_states
+    from igtl_gateway.convert.exchanges import service_of as service_of
     from igtl_gateway.convert.frames import frame_id as frame_id
     from igtl_gateway.convert.framesize import frame_size as frame_size
     from igtl_gateway.convert.images import image_to_igtl as image_to_igtl
@@ -98,6 +107,11 @@ HOMES: Homes = (
     ("convert.videos", "VIDEO_FORMATS=FORMATS"),
     ("edges.video.still", "decoded_still"),
     ("edges.video.worker", "MAX_PIXELS VIDEO_THREADS=THREADS import_av"),
+    # Services and actions as topics
+    (
+        "convert.exchanges",
+        "ACTION_SERVICES ACTION_TOPICS IN_ACTION OUTCOMES SERVICE_EVENT ServiceEvent action_of goal_states service_of",
+    ),
     # Units and rotations
     ("convert.scaling", "into_ros"),
     ("convert.units", "LengthUnits ieee_754 millimetres scale"),

@@ -22,7 +22,7 @@ from igtl_gateway.app.part import Parts, Step
 from igtl_gateway.app.passage import BridgePassage, why_not_native
 from igtl_gateway.app.recording import BridgeRecording, Uploads
 from igtl_gateway.app.ros_traffic import RosTraffic
-from igtl_gateway.app.subscriptions import Subscriptions
+from igtl_gateway.app.subscriptions import EVERYTHING, Subscriptions
 from igtl_gateway.app.timer import Timer
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import ConfigError, Unavailable
@@ -171,7 +171,7 @@ class Bridge:
         chosen = options.recording.selection if options.record else Selection()
         expected = expected_sources(
             config,
-            options.record_topics if options.record else (),
+            [glob for glob in options.record_topics if glob not in EVERYTHING] if options.record else (),
             chosen.include,
             chosen.exclude,
             options.recording.triggers if options.record else (),

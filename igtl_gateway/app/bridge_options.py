@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.app.setting_values import config_of
+from igtl_gateway.app.subscriptions import EVERYTHING
 from igtl_gateway.base.addons import part_of
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.quantities import counted
@@ -150,7 +151,11 @@ def bridge_options(
         zenoh=zenoh_endpoint(values) if ros else None,
         site=_site(values),
         record=Path(values["record"]) if values["record"] else None,
-        record_topics=("**",) if values["record_all"] else (*values["record_topics"], *_watched(how.triggers, ros=ros)),
+        record_topics=(
+            *(EVERYTHING if values["record_all"] else ()),
+            *values["record_topics"],
+            *_watched(how.triggers, ros=ros),
+        ),
         allow=tuple(values["allow"]),
         limits=limits(values),
         tls=tls(values),

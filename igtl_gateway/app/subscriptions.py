@@ -13,6 +13,8 @@ from igtl_gateway.gateway.log.note import Level, Note
 #: QoS of topics that are recorded only: the depth covers a burst; the reliability is that of the publishers.
 RECORDED = Qos(depth=100)
 
+#: What ``--record-all`` records: as ``ros2 bag record --all``, all topics, services and actions.
+EVERYTHING = ("**", "**/_service_event", "**/_action/**")
 #: Topics of ROS itself, which are recorded if they are named.
 _OF_ROS = ("/parameter_events", "/rosout")
 #: Beginning of a hidden level of a topic: of actions, and of events of services.
@@ -58,12 +60,13 @@ class Subscriptions:
 def names(glob: str, topic: str) -> bool:
     """Return whether a glob selects a topic for recording.
 
-    A wildcard selects no hidden level, as in a shell and with ``ros2 bag record --all``, and no topic of ROS itself:
-    a glob names them.  ``/fib/_action/*`` selects ``/fib/_action/status``; ``/fib/**`` does not.
+    A topic is hidden if any of its levels begins with ``_``.  A glob without such a level selects none of them, as in a
+    shell, and no wildcard selects a topic of ROS itself: a glob names them.  ``/fib/_action/**`` selects all topics of
+    an action; ``/fib/**`` does not.
     """
     if topic in _OF_ROS:
         return glob == topic
-    return glob.count(_HIDDEN) >= topic.count(_HIDDEN) and matches(glob, topic)
+    return (_HIDDEN in glob or _HIDDEN not in topic) and matches(glob, topic)
 
 
 def _not_encoded(_topic: str, _type: str) -> Qos | None:

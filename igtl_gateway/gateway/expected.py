@@ -20,6 +20,7 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.triggers import KINDS, Trigger
 from igtl_gateway.convert.arms import arms_of_profile
 from igtl_gateway.convert.crtk import namespaces
+from igtl_gateway.convert.exchanges import SERVICE_EVENT
 from igtl_gateway.convert.frames import frame_id
 from igtl_gateway.convert.igtl_msgs import RawMessage
 from igtl_gateway.convert.table import row_to_igtl
@@ -318,6 +319,8 @@ def _absence(source: ExpectedSource, present: PresentSources) -> str:
     """Return what is missing of a source of which nothing is there."""
     if source.kind in OF_PEERS and not present.names(source.kind) and present.connected is not None:
         return "no peer sends anything" if present.connected else "no peer is connected"
+    if source.kind == "topic" and source.name.endswith(SERVICE_EVENT):
+        return "no publisher: the service is not there, or its introspection is off"
     return _ABSENT[source.kind]
 
 

@@ -29,7 +29,7 @@ from mcap.records import Attachment, Metadata
 from igtl_gateway.addon import DamagedRecording, UnsupportedRecording
 from igtl_gateway.addon.reading import Kind, Qos, layout, message_rows, read_index, read_record, records, recover_hint
 from igtl_gateway.addon.terminal import by_count, counted
-from igtl_gateway.addon.untrusted import files, limits, unpack
+from igtl_gateway.addon.untrusted import DerivedType, files, limits, unpack
 from igtl_gateway.addon.writing import Definition, FileDefinitions, another_definition, open_new
 from igtl_gateway.addons.exchange.rosbag2_metadata import (
     METADATA,
@@ -227,9 +227,8 @@ def _unreadable(ros_type: str, encoding: str) -> str:
     """Return why a channel cannot be read as a topic; ``""`` if it can."""
     if encoding != layout.MESSAGE_ENCODING:
         return f"encoding {encoding!r}, not cdr"
-    if ros_type.endswith("_Event") and "/srv/" in ros_type:
-        return "service events, not a topic"
-    return "" if _ROS_TYPE.fullmatch(ros_type) else f"type {ros_type!r}, not package/msg/Name"
+    is_topic = _ROS_TYPE.fullmatch(ros_type) or DerivedType.of(ros_type)
+    return "" if is_topic else f"type {ros_type!r}, not package/msg/Name"
 
 
 class _Mcap:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from rosbags.typesys.base import TypesysError
 
 from igtl_gateway.addon import DamagedRecording
-from igtl_gateway.addon.untrusted import Types, limits, new_store
+from igtl_gateway.addon.untrusted import DerivedType, Types, limits, new_store
 from igtl_gateway.addon.untrusted import ros_definitions as definitions
 from igtl_gateway.addon.writing import Definition
 
@@ -42,9 +42,11 @@ def names_not_allowed(types: Types, ros_type: str) -> str:
 
 
 def with_hash(ros_type: str, found: Definition, note: Callable[[str], None] = lambda _: None) -> Definition | None:
-    """Return a definition in ``ros2msg`` or ``ros2idl`` with its RIHS01 hash; None without one, or above the limit.
+    """Return a definition that is read here with its RIHS01 hash; None without one, or above the limit.
 
-    The hash is ``""`` if it cannot be computed: a nested type is missing, or the definition cannot be read here.
+    The hash is ``""`` if it cannot be computed: a nested type is missing, or the definition cannot be read here.  Where
+    the file has the definition of a service or an action, the result has that of the message: rosbags refuses a whole
+    file for the encoding ``unknown``, and other readers for ``SRV:``.
 
     Args:
         ros_type: name of the type.
@@ -52,7 +54,7 @@ def with_hash(ros_type: str, found: Definition, note: Callable[[str], None] = la
         note: called with a line for people if messages of the type are not decoded here.
     """
     # an empty text with a hash is the definition of a type without fields; without a hash there is no definition
-    if found.encoding not in (definitions.MSG, definitions.IDL) or not (found.data.strip() or found.type_hash):
+    if not found.is_read(ros_type) or not (found.data.strip() or found.type_hash):
         return None
     place = f"definition of {ros_type[:100]}"
     try:
@@ -71,4 +73,7 @@ def with_hash(ros_type: str, found: Definition, note: Callable[[str], None] = la
         type_hash = ""
     except (TypesysError, KeyError, AssertionError):
         type_hash = ""
-    return Definition(found.data, found.encoding, found.type_hash or type_hash)
+    data, encoding = found.data, found.encoding
+    if DerivedType.of(ros_type) and encoding != definitions.IDL:
+        data, encoding = found.text(ros_type).encode(), definitions.MSG
+    return Definition(data, encoding, found.type_hash or type_hash)

@@ -11,9 +11,9 @@ from collections.abc import Hashable, Iterator
 from dataclasses import dataclass
 
 from igtl_gateway.addon.checking import ElementArray, LeafDecoder, Undecodable
+from igtl_gateway.addon.messages import SERVICE_EVENT, service_of
 from igtl_gateway.addon.reading import Entry, Kind, SessionFile
 
-_SUFFIX = "/_service_event"
 # kind of event, seconds, nanoseconds, client, number of the request; then both contents, each as a sequence of 0 or 1
 _EVENT = struct.Struct("=4xB3xiI16s4xq")
 _COUNT = struct.Struct("=I")
@@ -40,19 +40,20 @@ class RecordedService:
     Args:
         name: of the service.
         type: ``package/srv/Name``.
-        definition: of the type: the text of its ``.srv``, and what it needs; ``""`` if the recording has none.
+        definition: of its events, with what they need; ``""`` if the recording has none.
     """
 
     def __init__(self, name: str, type: str, definition: str) -> None:
         self.name, self.type = name, type
         self._answers: dict[Hashable, deque[RecordedAnswer]] = {}
-        request, is_known, _ = f"\n{definition}".partition("\n---")
+        package, _, last = type.partition("/")
+        request = f"{package}/{last.rpartition('/')[2]}_Request request\n"
         needed = "".join(definition.partition(_SEPARATOR)[1:])
         texts = {
-            "request/msg/Alone": f"{request}\n{needed}",
-            "request/msg/InEvent": f"uint8[{_HEAD}] head_\n{request}\nuint32 tail_\n{needed}",
+            "request/msg/Alone": request + needed,
+            "request/msg/InEvent": f"uint8[{_HEAD}] head_\n{request}uint32 tail_\n{needed}",
         }
-        self._decoder = LeafDecoder(texts if is_known else {})
+        self._decoder = LeafDecoder(texts if needed else {})
 
     @property
     def count(self) -> int:
@@ -83,11 +84,11 @@ def _plain(value: object) -> Hashable:
 
 
 def _events(file: SessionFile) -> Iterator[tuple[str, str, bytes]]:
-    """Topic, type and CDR of all events, which a session does not count as entries."""
-    if any(channel.count and channel.topic.endswith(_SUFFIX) for channel in file.skipped):
-        for schema, channel, row in file.messages():
-            if schema and channel.topic.endswith(_SUFFIX) and schema.name.endswith("_Event"):
-                yield channel.topic, schema.name, bytes(row[6][row[4] : row[5]])
+    """Topic, type and CDR of all events."""
+    if any(channel.count and channel.topic.endswith(SERVICE_EVENT) for channel in file.channels):
+        for entry in file.entries_of_kinds([Kind.ROS_IN]):
+            if entry.channel.endswith(SERVICE_EVENT) and entry.type.endswith("_Event"):
+                yield entry.channel, entry.type, bytes(entry.data())
 
 
 def recorded_services(file: SessionFile) -> dict[str, RecordedService]:
@@ -96,7 +97,7 @@ def recorded_services(file: SessionFile) -> dict[str, RecordedService]:
     for topic, type_, data in _events(file):
         if len(data) >= _EVENT.size + 2 * _COUNT.size and data[1] == 1:
             kind, seconds, rest_ns, client, number = _EVENT.unpack_from(data)
-            key = topic.removesuffix(_SUFFIX), type_.removesuffix("_Event")
+            key = service_of(topic), type_.removesuffix("_Event")
             exchange = events.setdefault(key, {}).setdefault((client, number), {})
             exchange.setdefault(kind, (seconds * 10**9 + rest_ns, data))
     found = {}

@@ -21,6 +21,7 @@ from rosbags.typesys.store import Typestore
 from igtl_gateway.base.errors import DamagedRecording
 from igtl_gateway.base.untrusted import elements, limits
 from igtl_gateway.base.untrusted.definition_checks import LONGEST_NAME, TYPE, Types, check_types
+from igtl_gateway.base.untrusted.derived_types import DerivedType
 from igtl_gateway.base.untrusted.dialects import IDL, MSG, RULE, is_idl
 from igtl_gateway.base.untrusted.msg_text import line_count, needed_types, read_types
 
@@ -97,6 +98,11 @@ def type_hash(types: Types, ros_type: str) -> str:
     """
     store = Typestore()
     store.fielddefs = {name: (types[name][0], fields) for name, fields in _layout(types, ros_type).items()}
+    if derived := DerivedType.of(ros_type):
+        store.fielddefs = {
+            derived.true_name(name): (constants, [_renamed(each, derived) for each in fields])
+            for name, (constants, fields) in store.fielddefs.items()
+        }
     return store.hash_rihs01(ros_type)
 
 
@@ -274,6 +280,17 @@ class _Steps:
 
 class _Idl(_Steps, IDLParser):
     pass
+
+
+def _renamed(field: tuple[str, Any], derived: DerivedType) -> tuple[str, Any]:
+    """Return a field whose type has its name in ROS."""
+    name, (kind, inner) = field
+    if kind == Nodetype.NAME:
+        return name, (kind, derived.true_name(inner))
+    if kind in _SEVERAL:
+        each, size = inner
+        return name, (kind, (_renamed(("", each), derived)[1], size))
+    return field
 
 
 def _hashed(field: tuple[str, Any]) -> tuple[str, Any]:

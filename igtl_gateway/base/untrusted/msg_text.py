@@ -82,7 +82,9 @@ def needed_types(text: str, ros_type: str) -> list[str]:
 def full_name(name: str) -> str:
     """Return ``package/Name`` as ``package/msg/Name``."""
     package, _, last = name.rpartition("/")
-    return name if package.rpartition("/")[2] in ("msg", "action") else f"{package}/msg/{last}" if package else name
+    if not package or package.rpartition("/")[2] in ("msg", "srv", "action"):
+        return name
+    return f"{package}/msg/{last}"
 
 
 def line_count(text: str) -> int:

@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from operator import attrgetter
 from typing import Any
 
 from igtl_gateway.base.errors import RosError, UnknownTypeError, first_line
@@ -15,6 +16,14 @@ from igtl_gateway.base.qos import Qos
 from igtl_gateway.edges.ros.distributions import EVENT_MODULES
 
 _TYPE = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv)/([A-Z][A-Za-z0-9]*)")
+_DERIVED = re.compile(r"([a-z][a-z0-9_]*)/(srv|action)/([A-Z][A-Za-z0-9]*)_(\w+)")
+#: Where rosidl puts the messages that it derives from a service or an action, below its class.
+_BELOW = {
+    ("srv", "Event"): "Event",
+    ("action", "FeedbackMessage"): "Impl.FeedbackMessage",
+    ("action", "SendGoal_Event"): "Impl.SendGoalService.Event",
+    ("action", "GetResult_Event"): "Impl.GetResultService.Event",
+}
 _RMW_CHECK_S = 60
 _SUBMODULES = (
     "callback_groups",
@@ -69,16 +78,18 @@ def _check_rmw(wanted: str) -> None:
 
 
 def interface_class(type_name: str) -> Any:
-    """Return the Python class of ``"pkg/msg/Name"`` or ``"pkg/srv/Name"``.
+    """Return the Python class of ``"pkg/msg/Name"`` or ``"pkg/srv/Name"``, of an event or a feedback.
 
     Raises UnknownTypeError if it is not installed here.
     """
-    match = _TYPE.fullmatch(type_name)
-    if not match:
+    match, below = _TYPE.fullmatch(type_name), ""
+    if not match and (match := _DERIVED.fullmatch(type_name)):
+        below = _BELOW.get((match[2], match[4]), "")
+    if not match or (match.re is _DERIVED and not below):
         raise UnknownTypeError(f'unknown type, found {type_name!r}, expected "package/msg/Name"')
-    package, kind, name = match.groups()
+    package, kind, name = match.groups()[:3]
     try:
-        return getattr(importlib.import_module(f"{package}.{kind}"), name)
+        return attrgetter(f"{name}.{below}".rstrip("."))(importlib.import_module(f"{package}.{kind}"))
     except (ImportError, AttributeError) as error:
         # only where there is none: what could not be compiled has its own reason
         advice = "" if type(error) is ImportError else f" (install the package {package} for it)"

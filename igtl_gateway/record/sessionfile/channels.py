@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from mcap.records import Channel, Schema
 
 from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.untrusted.derived_types import DerivedType
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.chunk_columns import Row
@@ -22,8 +23,6 @@ SEQUENCES = 1 << 32
 #: A message is large that has at least this part of its chunk: it is not copied.
 _LARGE_PART = 4
 _ROS_TYPE = re.compile(r"\w+/msg/\w+", re.ASCII)
-#: Feedback of an action, which is read if the file has its definition: bags of rosbag2 have none of its own fields.
-_ACTION_TYPE = re.compile(r"\w+/action/\w+", re.ASCII)
 _KINDS = {kind.value: kind for kind in Kind}
 
 #: Makes an entry of a row and an entry number; raises LayoutError.
@@ -88,10 +87,10 @@ def kind_of(channel: Channel, schema: Schema | None, foreign: bool) -> tuple[Kin
     """Kind of a channel's entries; or None and the reason why it cannot be read."""
     if channel.message_encoding != layout.MESSAGE_ENCODING:
         return None, f"found encoding {channel.message_encoding!r}, expected {layout.MESSAGE_ENCODING!r}"
-    is_action = schema is not None and _ACTION_TYPE.fullmatch(schema.name) and schema.data.split(b"\n==", 1)[0].strip()
-    if schema is None or not (is_action or _ROS_TYPE.fullmatch(schema.name)):
+    is_derived = schema is not None and DerivedType.of(schema.name) is not None
+    if schema is None or not (is_derived or _ROS_TYPE.fullmatch(schema.name)):
         return None, f"found type {schema.name if schema else ''!r}, expected package/msg/Name"
-    if b"\n---" in schema.data:
+    if b"\n---" in schema.data and not is_derived:
         return None, "a service, not a topic"
     if foreign:
         return Kind.ROS_IN, ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from igtl_gateway.base.untrusted.derived_types import DerivedType, as_message, is_of_file
 from igtl_gateway.base.untrusted.dialects import IDL, MSG, readable
 
 #: A definition of a message without fields, such as std_msgs/msg/Empty: an empty text would look like none.
@@ -16,7 +17,7 @@ class Definition:
 
     Attributes:
         data: the definition with all it depends on, as in schemas of MCAP.
-        encoding: its dialect: ``ros2msg`` or ``ros2idl``.
+        encoding: its dialect: ``ros2msg`` or ``ros2idl``; rosbag2 has ``unknown`` for a service without other types.
         type_hash: REP-2016 hash, ``RIHS01_…``; ``""`` if it is not known.
     """
 
@@ -25,8 +26,18 @@ class Definition:
     type_hash: str = ""
 
     def text(self, ros_type: str) -> str:
-        """Return the definition for the readers of this program, which see its dialect from its beginning."""
-        return readable(self.data, self.encoding, ros_type) or NO_FIELDS
+        """Return the definition for the readers of this program, which see its dialect from its beginning.
+
+        Of an event or a feedback it is that of the message, also where the file has that of the service or action.
+        """
+        text = as_message(readable(self.data, self.encoding, ros_type), ros_type)
+        return text or ("" if DerivedType.of(ros_type) else NO_FIELDS)
+
+    def is_read(self, ros_type: str) -> bool:
+        """Return whether readers of this program know its dialect."""
+        if self.encoding in (MSG, IDL):
+            return True
+        return DerivedType.of(ros_type) is not None and is_of_file(readable(self.data, self.encoding, ros_type))
 
 
 @dataclass(slots=True)
@@ -44,7 +55,7 @@ class FileDefinitions:
 
     def takes(self, ros_type: str, found: Definition) -> bool:
         """Return whether a definition of a type equals the first one of this type; keep the first one."""
-        if found.encoding not in (MSG, IDL):
+        if not found.is_read(ros_type):
             return True
         first = self.known.get(ros_type)
         if first is None or (not first.data and found.data):

@@ -26,6 +26,7 @@ from rosbags.typesys.base import TypesysError
 
 from igtl_gateway.base.errors import RecordingError
 from igtl_gateway.base.untrusted import definitions, files
+from igtl_gateway.base.untrusted.derived_types import DerivedType
 from igtl_gateway.base.untrusted.dialects import IDL, MSG, RULE
 from igtl_gateway.base.untrusted.limits import FileLimits, limits_in_force
 from igtl_gateway.convert.interfaces import SHARES
@@ -33,10 +34,6 @@ from igtl_gateway.record.sessionfile.definition import Definition
 from igtl_gateway.record.sessionfile.layout import OWN_TYPES
 
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", re.ASCII)
-#: The type of the feedback of an action, whose ``.action`` file has the fields behind its second separator.
-_FEEDBACK = re.compile(r"([A-Za-z]\w*)/action/([A-Za-z]\w*)_FeedbackMessage", re.ASCII)
-_SEPARATOR = re.compile(rb"^---[ \t\r]*$", re.MULTILINE)
-_PARTS_OF_AN_ACTION = 3
 _HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
 #: Files of one definition, and bytes of all of them: more than any real one has.
 _MOST_FILES, _MOST_BYTES = 1000, 4 << 20
@@ -59,7 +56,7 @@ class RosTypes:
                 self._types |= definitions.parse_definition(text, name)
 
     def find(self, ros_type: str) -> Definition | None:
-        """The definition of ``package/msg/Name``, or of the feedback of an action; None where it is not complete."""
+        """The definition of ``package/msg/Name``, or of a `DerivedType`; None where it is not complete."""
         if ros_type not in self._found:
             self._found[ros_type] = self._of_files(ros_type)
         return self._found[ros_type]
@@ -116,12 +113,9 @@ class RosTypes:
         if _TYPE_NAME.fullmatch(ros_type):
             data = self._file(f"{ros_type}.msg")
             return self._known(ros_type) if data is None else data
-        if feedback := _FEEDBACK.fullmatch(ros_type):
-            package, name = feedback.groups()
-            parts = _SEPARATOR.split(self._file(f"{package}/action/{name}.action") or b"")
-            own = f"{package}/{name}_Feedback"
-            head = f"unique_identifier_msgs/UUID goal_id\n{own} feedback\n{RULE}\nMSG: {own}\n"
-            return head.encode() + parts[2] if len(parts) == _PARTS_OF_AN_ACTION else None
+        if derived := DerivedType.of(ros_type):
+            text = derived.text((self._file(derived.file) or b"").decode("utf-8", "replace"))
+            return text.encode() if text else None
         return None
 
     def _known(self, ros_type: str) -> bytes | None:
@@ -151,7 +145,9 @@ class RosTypes:
         """The hash in the ``.json`` file beside the definition."""
         if ros_type in OWN_TYPES:
             return ""
-        place = next((each for kind in ("msg", "idl") if (each := self._place(f"{ros_type}.{kind}"))), None)
+        derived = DerivedType.of(ros_type)
+        names = [derived.file] if derived else [f"{ros_type}.msg", f"{ros_type}.idl"]
+        place = next((each for name in names if (each := self._place(name))), None)
         try:
             rows = json.loads(files.read_bytes(place.with_suffix(".json")))["type_hashes"] if place else []
             stated = {row["type_name"]: row["hash_string"] for row in rows}.get(ros_type, "")

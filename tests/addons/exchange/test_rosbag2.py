@@ -6,20 +6,25 @@ import json
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from igtl_gateway.addons.exchange.rosbag2 import Rosbag2
 from igtl_gateway.addons.exchange.rosbag2_metadata import METADATA, read_metadata
 from igtl_gateway.addons.exchange.source import ImportedItem, ImportedStream
 from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.base.untrusted.dialects import RULE
 from igtl_gateway.cli import main
+from igtl_gateway.convert.exchanges import REQUEST_SENT
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from tests import exchanges
 from tests.foreign_bags import cdr_mcap, cdr_sqlite3, dashing, talker, topics_and_services
+from tests.tables import table
 
 ROS2 = get_typestore(Stores.ROS2_JAZZY)
 STRING = "std_msgs/msg/String"
@@ -129,7 +134,7 @@ def test_a_directory_without_a_recording(tmp_path: Path) -> None:
         (cdr_mcap, "cdr", {"/array_topic": 4, "/test_topic": 3}),
         (cdr_sqlite3, "cdr", {"/array_topic": 4, "/test_topic": 3}),
         (talker, "talker", {"/topic": 10, "/rosout": 10}),
-        (topics_and_services, "some.mcap", {"/parameter_events": 7}),
+        (topics_and_services, "some.mcap", {"/parameter_events": 7, "/add_two_ints/_service_event": 6}),
     ],
 )
 def test_recordings_of_every_version_come_whole(
@@ -141,11 +146,33 @@ def test_recordings_of_every_version_come_whole(
     assert all(row.good for row in rows)
 
 
-def test_service_events_are_left_out_by_name(tmp_path: Path) -> None:
-    _, rows, _ = read(topics_and_services(tmp_path / "some.mcap"))
-    assert {(row.stream, row.left_out, row.why) for row in rows if row.left_out} == {
-        ("/add_two_ints/_service_event", 6, "service events, not a topic")
-    }
+#: The text that rosbag2 writes for the events of a service, and its encoding: at first; then without other types, which
+#: rosbags refuses with the whole file; with them.
+TEXTS_OF_EVENTS = {
+    "2023": ("ros2msg", "bool a\n---\nbool b\n"),
+    "alone": ("unknown", f"{RULE}\nSRV: p/srv/S\nbool a\n---\nbool b\n"),
+    "with types": ("ros2msg", f"{RULE}\nSRV: p/srv/S\np/T a\n---\np/T b\n\n{RULE}\nMSG: p/T\nbool t\n"),
+}
+
+
+@table(("encoding", "text"), TEXTS_OF_EVENTS.values(), ids=TEXTS_OF_EVENTS)
+def test_the_events_of_services_come_with_a_definition_that_all_read(encoding: str, text: str) -> None:
+    with TemporaryDirectory() as name:
+        path = Path(name, "bag.mcap")
+        with path.open("wb") as stream:
+            writer = McapWriter(stream)
+            writer.start("ros2", "test")
+            schema = writer.register_schema("p/srv/S_Event", encoding, text.encode())
+            channel = writer.register_channel("/s/_service_event", "cdr", schema, {"topic_type_hash": "RIHS01_x"})
+            writer.add_message(channel, 5, exchanges.event(REQUEST_SENT, 0, 1, request=b"\1"), 5)
+            writer.finish()  # type: ignore[no-untyped-call]
+        with closing(Rosbag2(path)) as source:
+            assert [item.payload for item in source.items()] == [exchanges.event(REQUEST_SENT, 0, 1, request=b"\1")]
+            found = source.definition_of("p/srv/S_Event")
+    assert found and (found.encoding, found.type_hash) == ("ros2msg", "RIHS01_x")
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(found.data.decode(), "p/srv/S_Event"))
+    assert {"p/msg/S_Request", "p/msg/S_Response", "service_msgs/msg/ServiceEventInfo"} <= store.fielddefs.keys()
 
 
 def test_compressed_messages_show_themselves(tmp_path: Path) -> None:

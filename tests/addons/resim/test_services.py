@@ -51,7 +51,8 @@ def record(path: Path, *events: bytes) -> Path:
 
 
 def test_answers_are_found_by_what_is_asked() -> None:
-    service = RecordedService("/plan", "robot/srv/Plan", "int32 a\nfloat64 b\nstring c\n---\nbool done\n")
+    definition = Definition(b"int32 a\nfloat64 b\nstring c\n---\nbool done\n").text("robot/srv/Plan_Event")
+    service = RecordedService("/plan", "robot/srv/Plan", definition)
     alone = b"\0\1\0\0" + struct.pack("<i4xdI3s", 5, 0.5, 3, b"ab\0")
     answers = [RecordedAnswer(b"one", 1), RecordedAnswer(b"two", 2)]
     for answer in answers:  # in an event there are other bytes between the values, and after them

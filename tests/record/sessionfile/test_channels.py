@@ -32,6 +32,10 @@ def channel(kind: str = "", encoding: str = "cdr", **facts: str) -> Channel:
         (channel("ros_in"), None, False, "found type ''"),
         (channel("ros_in"), Schema(1, b"a\n---\nb", "ros2msg", "a/msg/B"), False, "a service"),
         (channel("ros_in"), Schema(1, b"", "ros2msg", "B"), False, "expected package/msg/Name"),
+        (channel("ros_in"), Schema(1, b"", "", "a/srv/B_Event"), False, Kind.ROS_IN),
+        (channel(), Schema(1, b"a\n---\nb", "unknown", "a/srv/B_Event"), True, Kind.ROS_IN),
+        (channel(), Schema(1, b"", "", "a/action/B_FeedbackMessage"), True, Kind.ROS_IN),
+        (channel(), Schema(1, b"", "", "a/action/B_Goal"), True, "expected package/msg/Name"),
     ],
 )
 def test_kinds(given: Channel, schema: Schema | None, foreign: bool, expected: Kind | str) -> None:

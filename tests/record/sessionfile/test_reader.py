@@ -351,14 +351,14 @@ def test_channels_in_other_encodings_are_skipped_and_named(tmp_path: Path) -> No
         writer = Writer(stream)
         writer.start("", "another program")
         string = writer.register_schema(STRING, "ros2msg", b"string data")
-        event = writer.register_schema("a/srv/B_Event", "ros2msg", b"int8 a")
+        request = writer.register_schema("a/srv/B_Request", "ros2msg", b"int8 a")
         service = writer.register_schema("a/msg/B", "ros2msg", b"int8 a\n---\nint8 b")
         proto = writer.register_schema("foxglove.Log", "protobuf", b"")
         for topic, encoding, schema in (
             ("/json", "json", 0),
             ("/bare", "cdr", 0),
             ("/good", "cdr", string),
-            ("/event", "cdr", event),
+            ("/request", "cdr", request),
             ("/service", "cdr", service),
             ("/proto", "protobuf", proto),
         ):
@@ -368,7 +368,7 @@ def test_channels_in_other_encodings_are_skipped_and_named(tmp_path: Path) -> No
     with SessionFile.open(tmp_path / "a") as file:
         assert [entry.channel for entry in file.entries()] == ["/good"]
         assert file.entry_count == 1
-        assert [each.topic for each in file.skipped] == ["/json", "/bare", "/event", "/service", "/proto"]
+        assert [each.topic for each in file.skipped] == ["/json", "/bare", "/request", "/service", "/proto"]
         assert all(each.why and each.count == 1 for each in file.skipped)
 
 
