@@ -147,7 +147,7 @@ def test_a_session_is_not_imported_again(tmp_path: Path, capsys: pytest.CaptureF
     [
         (humanoid, "some.bag", 321),
         (talker, "talker", 20),
-        (topics_and_services, "some.mcap", 7),
+        (topics_and_services, "some.mcap", 13),
         (ultrasound, "some.igs.mha", 84),
         (lambda _: CAPTURES / "reference_mixed.pcap", "", 64),
     ],
