@@ -65,7 +65,7 @@ class ServiceEvent:
 
     @classmethod
     def unpack(cls, cdr: Buffer) -> ServiceEvent:
-        """Raises ConversionError for bytes that are no event, such as one that has two requests."""
+        """Raises ConversionError for bytes without an event, and for one with two requests."""
         data = bytes(cdr)
         order = data[1] if len(data) > 1 else 1
         if data[:1] != b"\0" or order not in _INFO or len(data) < _INFO[order].size + 2 * _COUNT[order].size:
