@@ -293,6 +293,7 @@ UNMIRRORED = (
     "test_contributing.py",  # Makefile, git hooks, workflow
     "test_defects.py",  # docs/evidence/defects.md
     "test_judges.py",  # tools/judges
+    "test_openigtlink_ng.py",  # tools/judges/openigtlink_ng.py and ng_*.py
     "test_deploy.py",  # deploy/
     "test_docs.py",  # tools/docs.py
     "test_docstrings.py",  # tools/docstrings.py

@@ -394,7 +394,7 @@ def _queries() -> str:
         prose(
             """`GET_` requests one message, `STT_` starts a stream, `STP_` stops it, `RTS_` is the reply.  The device
             name selects the device; an empty name means any.  `GET_TRANSFOR`, which some of the documents have, is read
-            as `GET_TRANS`, and so on."""
+            as `GET_TRANS`, `GET_QTRANS` as `GET_POSITION`, and so on."""
         ),
         table(("type", *(f"`{prefix}_`" for prefix in PREFIXES)), rows),
         told,

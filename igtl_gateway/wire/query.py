@@ -321,10 +321,16 @@ PREFIXES = ("GET", "STT", "STP", "RTS")
 #: Type of the data → what follows the prefix, where that is not the same.
 _SHORT = {"TRANSFORM": "TRANS", "CAPABILITY": "CAPABIL", "VIDEOMETA": "VMETA", "COLORTABLE": "COLORT"}
 #: The other way round, with what only documents write.
-_LONG = {"TRANS": "TRANSFORM", "TRANSFOR": "TRANSFORM", "CAPABIL": "CAPABILITY", "VMETA": "VIDEOMETA"}
+_LONG = {
+    "TRANS": "TRANSFORM",
+    "TRANSFOR": "TRANSFORM",
+    "QTRANS": "POSITION",
+    "CAPABIL": "CAPABILITY",
+    "VMETA": "VIDEOMETA",
+}
 
-_STREAMED = ("TDATA", "QTDATA", "IMAGE", "TRANS", "TRANSFOR", "POSITION", "SENSOR", "POLYDATA", "NDARRAY", "BIND",
-             "VIDEO")  # fmt: skip
+_STREAMED = ("TDATA", "QTDATA", "IMAGE", "TRANS", "TRANSFOR", "POSITION", "QTRANS", "SENSOR", "POLYDATA", "NDARRAY",
+             "BIND", "VIDEO")  # fmt: skip
 _ASKED = ("STATUS", "CAPABIL", "STRING", "POINT", "TRAJ", "IMGMETA", "LBMETA", "COLORT", "VMETA")
 _ANSWERED = ("STATUS", "CAPABIL", "POINT", "TRAJ", "IMGMETA", "LBMETA")
 
@@ -343,7 +349,11 @@ QUERIES: dict[str, type[Body]] = {
 }
 
 #: What only documents write → what we write.
-QUERY_ALIASES = {f"{prefix}_TRANSFOR": f"{prefix}_TRANS" for prefix in PREFIXES}
+QUERY_ALIASES = {
+    f"{prefix}_{name}": f"{prefix}_{sent}"
+    for name, sent in (("TRANSFOR", "TRANS"), ("QTRANS", "POSITION"))
+    for prefix in PREFIXES
+}
 
 
 @lru_cache(maxsize=256)

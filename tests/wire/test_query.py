@@ -55,6 +55,7 @@ CASES: list[tuple[str, bytes, Body]] = [
     ("STT_POLYDATA", struct.pack(">Q", 10**9), StartPolyData(10**9)),
     ("RTS_TDATA", b"\0", QueryReply(0)),
     ("RTS_POLYDATA", b"\1", QueryReply(1)),
+    ("RTS_QTRANS", b"\1", QueryReply(1)),
     ("RTS_BIND", b"\0", QueryReply(0)),
     ("RTS_BIND", b"", QueryReply(has_body=False)),  # as the document has it
     ("GET_BIND", b"", GetBind()),
@@ -159,6 +160,7 @@ def test_an_empty_start_of_video_is_no_start() -> None:
     [
         ("GET_TRANS", ("GET", "TRANSFORM")),
         ("GET_TRANSFOR", ("GET", "TRANSFORM")),
+        ("STT_QTRANS", ("STT", "POSITION")),
         ("STT_TDATA", ("STT", "TDATA")),
         ("GET_CAPABIL", ("GET", "CAPABILITY")),
         ("GET_VMETA", ("GET", "VIDEOMETA")),
