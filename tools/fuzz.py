@@ -29,7 +29,7 @@ from igtl_gateway.wire import Message, decode, describe, encode
 from igtl_gateway.wire.bind import Bind
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.framer import Framer
-from igtl_gateway.wire.header import BODY_SIZE_AT, HEADER_SIZE, TYPE, TYPE_AT, TYPE_SIZE, crc64
+from igtl_gateway.wire.header import BODY_SIZE_AT, HEADER_SIZE, READING, TYPE, TYPE_AT, TYPE_SIZE, crc64
 from igtl_gateway.wire.registry import BODIES, read_child
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -134,7 +134,7 @@ def damaged(rng: Random, pool: list[bytes]) -> bytes:
 def judge(data: bytes) -> str:
     """Reads one message in every way: ``"decoded"`` or the code of the error.  Raises Broken, or what escaped."""
     try:
-        message = decode(data)
+        message = decode(data, reading=READING)
     except WireError as error:
         outcome = error.code
     else:
@@ -178,7 +178,7 @@ def _judge_description(data: bytes) -> None:
         return
     json.dumps(shown)
     try:
-        decode(data)
+        decode(data, reading=READING)
     except WireError:
         if "error" not in shown:
             raise Broken("description hides an error") from None

@@ -59,6 +59,7 @@ NOTES: dict[str, dict[str, str]] = {
         "field_left_out": "a field has no counterpart in the other protocol and is left out",
         "direction_not_unit": "the directions of a volume have no unit length and are used with it",
         "uint32_as_float64": "an image of uint32 is published as 64FC, because ROS has no such encoding",
+        "deviation_read": "a message deviates from the protocol, but its meaning is certain: it is read",
         "coordinate_zero": "the coordinate system of an image is 0, which was LPS before 2013, and is read as LPS",
         "cell_scalars": "scalars of cells have nine components in the head, as the C++ library writes for any number; "
         "one value a cell is read",

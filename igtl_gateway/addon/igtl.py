@@ -13,7 +13,7 @@ from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.fields import cut_text, decode_text, visible
 from igtl_gateway.wire.framer import Framer
-from igtl_gateway.wire.header import DEVICE_NAME_AT, HEADER_VERSIONS, crc64
+from igtl_gateway.wire.header import DEVICE_NAME_AT, HEADER_VERSIONS, READING, crc64
 from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, LPS, SCALARS, Image
 from igtl_gateway.wire.message import ExtendedHeader, sorted_items
 from igtl_gateway.wire.ndarray import NDARRAY_SCALARS, NdArray
@@ -51,6 +51,7 @@ __all__ = [
     "LPS",
     "NDARRAY_SCALARS",
     "NORMAL",
+    "READING",
     "SCALARS",
     "TARGET_ONLY",
     "Attribute",

@@ -34,6 +34,7 @@ from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire import Item, Message, decode, encode
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.command import Command
+from igtl_gateway.wire.header import READING
 from igtl_gateway.wire.message import sorted_items
 from igtl_gateway.wire.query import (
     QUERIES,
@@ -553,7 +554,7 @@ class Conversation:
         """A link has received a message: for a caller that expects it, for a handler, or for the queue."""
         received_ns = self._clock.utc_ns()
         try:
-            wire = decode(data)
+            wire = decode(data, reading=READING)
         except WireError as error:
             with self.changed:
                 self._received += 1
@@ -564,7 +565,7 @@ class Conversation:
         size = total_size((data,))
         with self.changed:
             self._received += 1
-            if wire.header_version > 1:
+            if wire.header_version > 1 and not wire.deviation:
                 self._versions[link] = wire.header_version
             self._remember(message)
             expected = next((one for one in self._expected if one.link == link and one.selects(message)), None)

@@ -31,6 +31,7 @@ from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.stamps import with_crc_of, with_right_crc
 from igtl_gateway.gateway.substitution import Step, in_place_of
 from igtl_gateway.wire import HEADER_SIZE, Item, Message, Raw, decode, encode
+from igtl_gateway.wire.header import READING
 from igtl_gateway.wire.message import sorted_items
 from igtl_gateway.wire.query import split_query
 from igtl_gateway.wire.registry import BODIES
@@ -101,7 +102,7 @@ class Listeners:
             if peer is None:
                 return False
             try:
-                message = decode(data, check_crc=False)
+                message = decode(data, check_crc=False, reading=READING)
             except WireError:
                 self._unchanged.clear()
                 return False

@@ -68,6 +68,18 @@ def ticks_to_ns(ticks: int) -> int:
     return (ticks >> 32) * NS_PER_S + fraction_to_ns(ticks & 0xFFFFFFFF)
 
 
+def of_milliseconds(ticks: int) -> int:
+    """Return the tick word for one whose fraction counts milliseconds; unchanged if the fraction is larger."""
+    milliseconds = ticks & 0xFFFFFFFF
+    return (ticks >> 32 << 32) | ns_to_fraction(milliseconds * NS_PER_MS) if milliseconds < 1_000 else ticks
+
+
+def ticks_as_read(ticks: int, source_ns: int) -> int:
+    """Return the tick word that a session has read in place of ``ticks`` if its entry has the stamp ``source_ns``."""
+    read = of_milliseconds(ticks)
+    return read if ticks_to_ns(read) == source_ns else ticks
+
+
 def ns_to_ticks(ns: int) -> int:
     """Return the tick word of UTC nanoseconds; 0 for 0 (unset) and times before 1970.  From 2106 on the field wraps."""
     seconds, rest = divmod(max(ns, 0), NS_PER_S)

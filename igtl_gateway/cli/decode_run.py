@@ -20,7 +20,7 @@ from igtl_gateway.record.sessionfile.new_file import open_new
 from igtl_gateway.record.sessionfile.whole_files import written
 from igtl_gateway.wire import decode, describe, encode
 from igtl_gateway.wire.framer import Framer
-from igtl_gateway.wire.header import HEADER_VERSIONS
+from igtl_gateway.wire.header import HEADER_VERSIONS, READING
 
 #: This number of bytes at the start of a file shows its format.
 _START = 512
@@ -72,7 +72,7 @@ def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target:
             facts = {"index": index, "offset": offset, **describe(data)}
             print_json(facts)
             damaged += "error" in facts
-            foreign = foreign + 1 if facts["header_version"] not in HEADER_VERSIONS else 0
+            foreign = foreign + 1 if facts["header_version"] not in HEADER_VERSIONS and "error" in facts else 0
             if foreign == _FOREIGN:
                 raise GatewayError(
                     f"offset {offset}: found {count_text(foreign, 'message')} in a row of an unknown header version, "
@@ -130,6 +130,6 @@ def _reason(error: Exception) -> str:
 def _encoded(data: Buffer) -> list[Buffer]:
     """Return the message, decoded and encoded again; a message that cannot be decoded is returned unchanged."""
     try:
-        return encode(decode(data))
+        return encode(decode(data, reading=READING))
     except WireError:
         return [data]

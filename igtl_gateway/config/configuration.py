@@ -115,6 +115,7 @@ from igtl_gateway.convert.choices import AUTO
 from igtl_gateway.convert.frames import TfRequest
 from igtl_gateway.convert.table import TO_IGTL
 from igtl_gateway.convert.units import UNITS, LengthUnits
+from igtl_gateway.wire.header import READING
 
 #: Settings that older recordings do not have, and their default in a live session.  They are None in these recordings.
 LIVE: Mapping[str, bool | int | float] = {
@@ -222,7 +223,8 @@ class Config:
 
     ``naming`` is the version of the rules by which streams get their topics and frames: ``NAMING``, or 0, as in
     recordings that are older than it, so that they give the same names.  ``fitting`` is the version of the rules by
-    which messages are fitted to what a peer reads, likewise.  They are not settings of the user.
+    which messages are fitted to what a peer reads, ``reading`` of those by which messages that deviate from the
+    protocol are read (``wire.header.READING``), likewise.  They are not settings of the user.
     """
 
     base_frame: str = "igtl"
@@ -251,6 +253,7 @@ class Config:
     max_behind_s: float | None = None
     naming: int = dataclasses.field(default=NAMING, metadata=_RECORDED)
     fitting: int = dataclasses.field(default=FITTING, metadata=_RECORDED)
+    reading: int = dataclasses.field(default=READING, metadata=_RECORDED)
     to_igtl: tuple[ToIgtlRow, ...] = ()
     to_ros: tuple[ToRosRow, ...] = ()
     tf_out: tuple[TfOutRow, ...] = ()
@@ -396,7 +399,7 @@ class Config:
     def as_live_as(self, recorded: Config) -> Config:
         """Return the configuration with the settings in ``LIVE`` of a recording, where it does not set them."""
         as_live = self._with_live({name: getattr(recorded, name) for name in LIVE})
-        return dataclasses.replace(as_live, naming=recorded.naming, fitting=recorded.fitting)
+        return dataclasses.replace(as_live, naming=recorded.naming, fitting=recorded.fitting, reading=recorded.reading)
 
     def watched(self) -> Config:
         """Return the configuration of a live session: the settings in ``LIVE`` have their defaults if they are None."""
@@ -421,7 +424,17 @@ class Config:
         Settings that older programs do not know are left out if they are not set: these can then read the recording.
         """
         values = dataclasses.asdict(self)
-        for name in ("max_age_s", "kinds", "allow_in", "allow_out", "mark_from", "naming", "fitting", "crtk"):
+        for name in (
+            "max_age_s",
+            "kinds",
+            "allow_in",
+            "allow_out",
+            "mark_from",
+            "naming",
+            "fitting",
+            "reading",
+            "crtk",
+        ):
             if not values[name]:
                 del values[name]
         for name in ("cautious", "keep_mib", "latched_mib", "max_behind_s"):
@@ -452,7 +465,7 @@ class Config:
 
         Raises ConfigError with the path of the setting.
         """
-        settings = {"naming": 0, "fitting": 0, **values}
+        settings = {"naming": 0, "fitting": 0, "reading": 0, **values}
         to_igtl = _rows("to_igtl", settings.pop("to_igtl", ()), ToIgtlRow)
         to_ros = _rows("to_ros", settings.pop("to_ros", ()), ToRosRow)
         tf_out = _rows("tf_out", settings.pop("tf_out", ()), TfOutRow)
@@ -464,7 +477,7 @@ class Config:
     @classmethod
     def of_values(cls, values: Mapping[str, Any]) -> Config:
         """Return the configuration of a new session.  Raises ConfigError as ``from_dict``."""
-        return cls.from_dict({**values, "naming": NAMING, "fitting": FITTING})
+        return cls.from_dict({**values, "naming": NAMING, "fitting": FITTING, "reading": READING})
 
     @classmethod
     def from_toml(cls, path: Path) -> Config:

@@ -9,7 +9,7 @@ NOTE_CODES = (
     "command_joint_range command_joint_speed command_not_allowed command_not_finite command_not_rigid "
     "command_old command_refused command_speed command_timeout command_type command_unknown_state "
     "command_unstamped command_unwritten command_word command_workspace connect_failed conversion "
-    "coordinate_zero cycle deidentified denied direction_not_unit empty encoding_changed fault "
+    "coordinate_zero cycle deidentified denied deviation_read direction_not_unit empty encoding_changed fault "
     "fault_disconnect field_left_out float32_attribute frame_renamed frame_shared fresh halted idle imported inactive "
     "internal_error latched_forgotten link_down link_up listen_failed listened malformed mark mark_refused "
     "mark_time name_cut name_shared native_passage no_base no_conversion no_frame_name no_interfaces "

@@ -332,9 +332,10 @@ _PEERS_AND_MESSAGES = (
     Setting(
         "profile",
         AUTO,
-        "profile of all peers; crtk or crtk:/NAMESPACE: auto, with the CRTK topics of the arms at these namespaces "
-        "(* matches one level)",
+        f"profile of all peers: {', '.join(PROFILE_NAMES)}; crtk or crtk:/NAMESPACE: auto, with the CRTK topics of the "
+        "arms at these namespaces (* matches one level)",
         GATEWAY,
+        metavar="PROFILE",
         choices=(*PROFILE_NAMES, PROFILE),
         reads=_profile,
         shown=f"{AUTO}, detected from their messages",

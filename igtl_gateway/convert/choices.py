@@ -7,7 +7,7 @@ from __future__ import annotations
 
 #: The profile that is detected, and the names of ``profiles.PROFILES``.
 AUTO = "auto"
-PROFILES = ("default", "slicer", "plus", "plus-v1", "brainlab", "holoscan", "legacy-v1")
+PROFILES = ("default", "slicer", "plus", "plus-v1", "brainlab", "holoscan", "legacy-v1", "openigtlink4j")
 
 #: Length units: those of ``units.UNITS``.
 UNITS = ("m", "dm", "cm", "mm", "um")

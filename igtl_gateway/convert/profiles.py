@@ -36,7 +36,7 @@ from igtl_gateway.wire.polydata import (
     Cells,
     PolyData,
 )
-from igtl_gateway.wire.query import split_query
+from igtl_gateway.wire.query import EmptyQuery, StartTracking, split_query
 from igtl_gateway.wire.registry import BODIES
 from igtl_gateway.wire.text import Status
 from igtl_gateway.wire.tracking import TrackingData
@@ -208,6 +208,7 @@ class PeerProfile:
         greeting: whether its first message may be a STATUS without a device, whose code it never sets.
         stamped: whether messages in header version 2 have a stamp in their metadata also if ROS has none.
         arm_unit: length unit of the devices of CRTK arms, in both directions; "": that of their row.
+        milliseconds: whether its stamps have milliseconds in place of the fraction of a second.
     """
 
     name: str
@@ -230,6 +231,7 @@ class PeerProfile:
     greeting: bool = False
     stamped: bool = False
     arm_unit: str = ""
+    milliseconds: bool = False
 
     def may_send(self, igtl_type: str) -> bool:
         """Return whether messages of this type may be sent to the peer."""
@@ -268,6 +270,14 @@ def _is_slicer(message: Message) -> bool:
     if not message.metadata:
         return False
     return is_hello(message) or "MRMLNodeName" in _metadata(message)
+
+
+def _is_openigtlink4j(message: Message) -> bool:
+    """Return whether a query has an interval of the form that only OpenIGTLink4J writes."""
+    content = message.content
+    if isinstance(content, StartTracking):
+        return content.is_long
+    return isinstance(content, EmptyQuery) and content.is_long and message.type.startswith("STT_")
 
 
 def _is_plus(message: Message) -> bool:
@@ -388,6 +398,15 @@ PROFILES: tuple[PeerProfile, ...] = (
             ("does not know the short forms of POSITION, COMMAND, VIDEO and metadata", "§10.6"),
         ),
         max_version=1,
+    ),
+    PeerProfile(
+        "openigtlink4j",
+        facts=(
+            ("writes milliseconds in place of the fraction of a second", "OpenIGTLink4J 4cbcb31, reproduced"),
+            ("writes the interval of every STT_ as i64, milliseconds", "OpenIGTLink4J 4cbcb31, reproduced"),
+        ),
+        shows=_is_openigtlink4j,
+        milliseconds=True,
     ),
 )
 

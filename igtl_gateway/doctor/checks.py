@@ -17,6 +17,7 @@ from igtl_gateway.doctor.observations import ObservedPeer, ObservedStream
 from igtl_gateway.doctor.observer import MAX_STREAMS, Observer
 from igtl_gateway.doctor.protocols import is_openigtlink, protocol_of
 from igtl_gateway.gateway.log.note import Level
+from igtl_gateway.wire.deviations import READ
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.header import HEADER_VERSIONS
 from igtl_gateway.wire.registry import BODIES
@@ -274,8 +275,8 @@ def each_stream(
     return check
 
 
-def wrong_versions(stream: ObservedStream) -> list[int]:
-    return sorted(set(stream.versions) - set(HEADER_VERSIONS))
+def deviations(stream: ObservedStream) -> str:
+    return "; ".join(f"{many(number)} with {READ[kind]}" for kind, number in sorted(stream.deviations.items()))
 
 
 def mixed_versions(observed: Observer) -> Iterator[RuleMatch]:
@@ -319,6 +320,7 @@ def in_unit(stream: ObservedStream) -> str:
         f"the fractions of {count_text(fractions.stamped, 'stamp')} count {fractions.unit}, not 2^-32 s: none is above "
         f"{fractions.largest:,}"
         + (f", and ages differ by {duration_text(fractions.spread_ns)}" if fractions.spread_ns >= NS_PER_MS else "")
+        + ("; they are read so" if stream.milliseconds else "")
     )
 
 

@@ -96,7 +96,10 @@ class ObservedStream:
         good: number of messages that were decoded, with the right CRC.
         bad_crc, no_crc: number of wrong CRCs, and number of those that are 0.
         versions: number of messages for each header version.
+        wrong_versions: of those, the refused ones whose version does not exist.
         misfits: number of messages whose body has the format of the other header version.
+        deviations: deviation (a key of ``wire.deviations.READ``) → number of messages that were read in spite of it.
+        milliseconds: number of stamps whose fraction the session has read as milliseconds.
         malformed: number of other messages that cannot be decoded; ``error`` is the first reason.
         unknown: whether the type has no codec.
         millimetres: unit of length by the configuration, mm.
@@ -124,7 +127,10 @@ class ObservedStream:
     bad_crc: int = 0
     no_crc: int = 0
     versions: Counter[int] = field(default_factory=Counter)
+    wrong_versions: Counter[int] = field(default_factory=Counter)
     misfits: int = 0
+    deviations: Counter[str] = field(default_factory=Counter)
+    milliseconds: int = 0
     malformed: int = 0
     error: str = ""
     unknown: bool = False

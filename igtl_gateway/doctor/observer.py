@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from igtl_gateway.base.errors import ChecksumMismatch, WireError
+from igtl_gateway.base.stamp import ticks_to_ns
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.units import ieee_754, scale
 from igtl_gateway.doctor.content import NOTHING, measure_content
@@ -201,12 +202,12 @@ class Observer:
         stream.versions[header.version] += 1
         stream.timing.add(entry.source_ns, entry.stamp_ns - self._ahead_ns)
         stream.fractions.add(header.ticks, entry.stamp_ns - self._ahead_ns)
-        if header.version in HEADER_VERSIONS:
-            message = _decoded(stream, header, data)
-            if message is not None:
-                peer.is_gateway |= is_reply(message)
-                peer.is_replay |= is_of_replay(message)
-                self._measure(stream, message)
+        message = _decoded(stream, header, data, self.config.reading)
+        if message is not None:
+            stream.milliseconds += entry.source_ns != ticks_to_ns(header.ticks)
+            peer.is_gateway |= is_reply(message)
+            peer.is_replay |= is_of_replay(message)
+            self._measure(stream, message)
 
     def _from_ros(self, entry: Entry) -> None:
         topic = self.topics.get(entry.channel)
@@ -270,21 +271,25 @@ class Observer:
                 break
 
 
-def _decoded(stream: ObservedStream, header: Header, data: bytes) -> Message | None:
+def _decoded(stream: ObservedStream, header: Header, data: bytes, reading: int) -> Message | None:
     """Return the message, with a right or a wrong CRC; None if it cannot be decoded.  Defects are counted."""
     try:
-        message = decode(data)
+        message = decode(data, reading=reading)
         stream.good += 1
+        if message.deviation:
+            stream.deviations[message.deviation] += 1
         return message
     except ChecksumMismatch:
         stream.bad_crc += 1
         stream.no_crc += header.crc == 0
         try:
-            return decode(data, check_crc=False)
+            return decode(data, check_crc=False, reading=reading)
         except WireError:
             return None  # the wrong CRC is already counted
     except WireError as error:
-        if _fits_other_version(header, memoryview(data)[HEADER_SIZE:]):
+        if header.version not in HEADER_VERSIONS:
+            stream.wrong_versions[header.version] += 1
+        elif _fits_other_version(header, memoryview(data)[HEADER_SIZE:]):
             stream.misfits += 1
         else:
             stream.malformed += 1

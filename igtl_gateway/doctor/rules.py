@@ -120,17 +120,16 @@ RULES: tuple[Rule, ...] = (
     ),
     Rule(
         "IGTL-E201", "invalid header version", f"{HEADER}: Version number",
-        "use 1 for protocol versions 1 and 2, and 2 for protocol version 3; openigtlink-rust 0.4.1 writes 3 with "
-        "metadata",
+        "use 1 for protocol versions 1 and 2, and 2 for protocol version 3; 3 is read if its body is that of version 2",
         each_stream(
-            lambda one: len(checks.wrong_versions(one)),
-            lambda one: f"header version {', '.join(map(str, checks.wrong_versions(one)))}, expected 1 or 2",
+            lambda one: len(one.wrong_versions),
+            lambda one: f"header version {', '.join(map(str, sorted(one.wrong_versions)))}, expected 1 or 2",
         ),
     ),
     Rule(
         "IGTL-E202", "header version does not fit the body", f"{HEADER}: Extended header",
-        "let the sender write version 1, or the extended header of version 2; openigtlink-rust 0.4.1 writes version 2 "
-        "without one by default",
+        "let the sender write version 1, or the extended header of version 2; a body without one is read if its first "
+        "bytes cannot be one",
         each_stream(
             lambda one: one.misfits,
             lambda one: f"the body of {checks.many(one.misfits)} of header version {min(one.versions)} is of the other",
@@ -296,8 +295,8 @@ RULES: tuple[Rule, ...] = (
     ),
     Rule(
         "IGTL-W307", "fractions of stamps in another unit", "Protocol/timestamp.md",
-        "multiply the fraction of a second by 2^32 in the sender (OpenIGTLink4J writes milliseconds), or use the time "
-        'of receipt (`stamp = "receive"`)',
+        "multiply the fraction of a second by 2^32 in the sender; OpenIGTLink4J writes milliseconds, which "
+        "`--peer HOST:PORT=openigtlink4j` reads; or use the time of receipt (`stamp = \"receive\"`)",
         each_stream(checks.other_unit, checks.in_unit),
     ),
     Rule(
@@ -357,6 +356,12 @@ RULES: tuple[Rule, ...] = (
         "IGTL-W204", "both header versions", f"{HEADER}: Version number",
         "no action if all readers support version 2; readers of protocol versions 1 and 2 lose the stream at it",
         checks.mixed_versions,
+    ),
+    Rule(
+        "IGTL-W209", "messages that deviate, and are read", f"{HEADER}: Extended header",
+        "let the sender write header version 1, or version 2 with its extended header; until then it is answered in "
+        "version 1",
+        each_stream(lambda one: one.deviations.total(), checks.deviations),
     ),
     Rule(
         "IGTL-W208", "unknown type", f"{HEADER}: Type name",

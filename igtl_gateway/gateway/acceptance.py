@@ -8,6 +8,7 @@ from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.versions import Self
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.wire import Message, decode
+from igtl_gateway.wire.header import READING
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,18 +17,20 @@ class Acceptance:
 
     Attributes:
         check_crc: bytes with a wrong CRC are rejected.
+        reading: which messages that deviate from the protocol are read, see ``wire.message.decode``.
     """
 
     check_crc: bool = True
+    reading: int = READING
 
     @classmethod
     def of(cls, config: Config) -> Self:
         """Return the rule of a session with a configuration."""
-        return cls(config.check_crc)
+        return cls(config.check_crc, config.reading)
 
     def message(self, data: Buffer) -> Message:
         """Decode a message.  Raises WireError for what the session rejects."""
-        return decode(data, check_crc=self.check_crc)
+        return decode(data, check_crc=self.check_crc, reading=self.reading)
 
 
 #: The rule without a configuration.

@@ -243,6 +243,11 @@ class Gateway:
         peer = self._peers.get(link)
         return peer.profile.name if peer else ""
 
+    def reads_milliseconds(self, link: int) -> bool:
+        """Return whether the stamps of the peer of a link have milliseconds in place of the fraction of a second."""
+        peer = self._peers.get(link)
+        return peer is not None and peer.profile.milliseconds
+
     @property
     def has_subscriber(self) -> HasSubscriber | None:
         """Function that returns whether a topic has a subscriber; None, as in recorded sessions: build all outputs."""

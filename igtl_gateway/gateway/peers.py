@@ -77,6 +77,7 @@ class Peer:
         shown: highest received header version.
         recent: whether all signs of a profile count, and messages have the metadata that a profile expects.
         fitting: the rules by which messages are fitted to it, see ``Config.fitting``.
+        reading: the rules by which what deviates in its messages is read, see ``Config.reading``.
         awaited: whether it gets only what every known program reads until its first message may show what it is.
         missed: whether it did not get a message because of that.
         held_until_ns: gateway time until which latched messages are held back at most; 0: they were sent.
@@ -98,6 +99,7 @@ class Peer:
     shown: int = 0
     recent: bool = False
     fitting: int = 0
+    reading: int = 0
     awaited: bool = False
     missed: bool = False
     held_until_ns: int = 0
@@ -148,7 +150,8 @@ class Peer:
     def learn_from(self, message: Message) -> bool:
         """Learn version, profile and types from a message; return whether one of them changed."""
         before = (self.profile, self.shown, len(self.knows), len(self.asked))
-        self.shown = max(self.shown, message.header_version)
+        # who writes another layout than that of its header version reads that of version 1
+        self.shown = max(self.shown, 1 if message.deviation else message.header_version)
         if not self.chosen:
             self._recognise(message)
         query = split_query(message.type) if self.profile.if_asked else None
@@ -157,7 +160,8 @@ class Peer:
         return (self.profile, self.shown, len(self.knows), len(self.asked)) != before
 
     def _recognise(self, message: Message) -> None:
-        if profile := profile_shown_by(message, all_signs=self.recent):
+        profile = profile_shown_by(message, all_signs=self.recent)
+        if profile and (self.reading or not profile.milliseconds):
             self.profile, self.chosen, self.frames = by_rules(profile, self.fitting), profile is not PLUS_1, None
         elif self.frames:
             news = [name for name in _known_types(message) if not self.profile.may_send(name)]
@@ -166,7 +170,9 @@ class Peer:
                 self.profile, self.frames = PLUS_1, None
 
     def must_see(self, message: Message) -> bool:
-        """Return whether the next messages of a stream may show what the peer is, so that each must be seen."""
+        """Return whether each message of a stream must be seen: the next ones may show what the peer is."""
+        if self.profile.milliseconds:
+            return True  # compiled streams read stamps as the protocol has them
         if self.chosen or not self.recent:
             return False
         return (self.frames is not None and self.frames.must_see(message)) or may_show_plus(message)
@@ -276,7 +282,7 @@ class Peers:
         unknown = UNRECOGNISED if self._config.cautious and not self._config.all_arms else DEFAULT
         profile = by_rules(BY_NAME.get(name, unknown), self._config.fitting)
         peer = Peer(link, address, role, profile, name != AUTO, place or "ADDRESS", last_sent_ns=now_ns)
-        peer.recent, peer.fitting = self._config.knows_peers, self._config.fitting
+        peer.recent, peer.fitting, peer.reading = self._config.knows_peers, self._config.fitting, self._config.reading
         peer.awaited = bool(self._config.cautious and self._config.fitting)
         if name == AUTO and peer.recent:
             peer.frames = TrackedFrames(streams=role == "client")

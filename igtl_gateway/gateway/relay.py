@@ -105,6 +105,10 @@ class RelayGateway:
         """Return "": a relay adapts nothing to its peers."""
         return ""
 
+    def reads_milliseconds(self, link: int) -> bool:
+        """Return False: a relay reads no stamps."""
+        return False
+
     def subscription(self, topic: str, ros_type: str) -> Qos | None:
         """Return None: a relay bridges no topic."""
         return None
@@ -227,7 +231,7 @@ class RelayGateway:
         if not denials or entry.type != "BIND":
             return None
         try:
-            denied = denials.message(decode(entry.payload[0], check_crc=False))
+            denied = denials.message(decode(entry.payload[0], check_crc=False, reading=self.config.reading))
         except WireError as error:  # another program may be able to read it
             return f"BIND is denied because it cannot be decoded ({setting}): {error}"
         return f"BIND that contains {denied} is denied ({setting})" if denied else None

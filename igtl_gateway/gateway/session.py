@@ -13,7 +13,7 @@ from typing import Protocol
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.qos import Qos
-from igtl_gateway.base.stamp import ticks_to_ns
+from igtl_gateway.base.stamp import of_milliseconds, ticks_to_ns
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.command_guard import Write
 from igtl_gateway.gateway.core import Gateway
@@ -49,6 +49,8 @@ class Core(Protocol):
     def guard(self) -> Guard: ...
 
     def profile_of(self, link: int) -> str: ...
+
+    def reads_milliseconds(self, link: int) -> bool: ...
 
     @property
     def due_ns(self) -> int | None: ...
@@ -135,6 +137,8 @@ class Session:
         if not entries:
             if kind is Kind.IGTL_IN:
                 channel, type_name, source_ns = header_names(payload[0])
+                if self.gateway.reads_milliseconds(links[0]):
+                    source_ns = ticks_to_ns(of_milliseconds(*U64.unpack_from(payload[0], TICKS_AT)))
                 if self.gateway.write:
                     stamp_ns = max(stamp_ns, numbers.stamp_ns + 2)  # room for a note before it
             entry = Entry(seq, stamp_ns, kind, channel, type_name, payload, links, source_ns)

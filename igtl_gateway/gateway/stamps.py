@@ -10,7 +10,7 @@ import dataclasses
 from collections.abc import Callable
 
 from igtl_gateway.base.errors import GatewayError
-from igtl_gateway.base.stamp import ns_to_ticks, ticks_to_ns
+from igtl_gateway.base.stamp import ns_to_ticks, ticks_as_read, ticks_to_ns
 from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.gateway.acceptance import DEFAULT_ACCEPTANCE, Acceptance
 from igtl_gateway.gateway.metadata import STAMP
@@ -19,15 +19,18 @@ from igtl_gateway.wire.header import BODY_SIZE_AT, CRC_AT, HEADER_SIZE, TICKS_AT
 from igtl_gateway.wire.message import Item
 
 
-def restamped(data: bytes, new: Callable[[int], int], acceptance: Acceptance = DEFAULT_ACCEPTANCE) -> bytes:
+def restamped(
+    data: bytes, new: Callable[[int], int], acceptance: Acceptance = DEFAULT_ACCEPTANCE, source_ns: int = 0
+) -> bytes:
     """Apply ``new`` to each stamp of a message (UTC ns, 0: unset); shorter data than a header stays unchanged.
 
-    Of what the session rejects (``acceptance``), only the stamp in the header changes.
+    ``source_ns`` of its entry shows how the session has read the stamp in the header.  Of what the session rejects
+    (``acceptance``), only that stamp changes.
     """
     if len(data) < HEADER_SIZE:
         return data
     (ticks,) = U64.unpack_from(data, TICKS_AT)
-    word = U64.pack(ns_to_ticks(new(ticks_to_ns(ticks))))
+    word = U64.pack(ns_to_ticks(new(ticks_to_ns(ticks_as_read(ticks, source_ns)))))
     body = _restamped_metadata(data, new, acceptance) or data
     return b"".join((body[:TICKS_AT], word, body[BODY_SIZE_AT:]))
 

@@ -30,6 +30,7 @@ from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.wire import Header, decode
 from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.fields import visible
+from igtl_gateway.wire.header import READING
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway.wire.registry import describe_content
@@ -259,9 +260,9 @@ class LeafDecoder:
             yield "timestamp", StampValue(ticks_to_ns(header.ticks))
             right = True
             try:
-                message = decode(data)
+                message = decode(data, reading=READING)
             except ChecksumMismatch:
-                message, right = decode(data, check_crc=False), False
+                message, right = decode(data, check_crc=False, reading=READING), False
         except GatewayError as error:
             raise Undecodable(str(error)) from None
         yield "message_id", message.message_id

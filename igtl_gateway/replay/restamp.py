@@ -65,7 +65,7 @@ class Restamper:
             return stamp_ns + (self._shift_ns or 0) if stamp_ns else 0
 
         if entry.kind in _IGTL:
-            return (restamped(entry.data(), moved, self._acceptance),)
+            return (restamped(entry.data(), moved, self._acceptance, entry.source_ns),)
         return (self._ros(entry, moved),)
 
     def _ros(self, entry: Entry, moved: Callable[[int], int]) -> bytes:

@@ -29,8 +29,9 @@ from igtl_gateway.replay.source import through_gateway
 #: Notes that are written once and hold until the end of a session: of names, and of messages that are changed.
 LASTING = frozenset(
     "frame_renamed frame_shared name_shared name_cut not_a_rotation not_a_pose text_cut encoding_changed adapted "
-    "field_left_out direction_not_unit uint32_as_float64 coordinate_zero cell_scalars trajectory_not_drawn "
-    "float32_attribute colours_left_out unknown_status empty no_conversion shown_instead arm_unit not_for_peer".split()
+    "field_left_out direction_not_unit uint32_as_float64 deviation_read coordinate_zero cell_scalars "
+    "trajectory_not_drawn float32_attribute colours_left_out unknown_status empty no_conversion shown_instead "
+    "arm_unit not_for_peer".split()
 )
 _MESSAGES = frozenset(kind.value for kind in MESSAGES)
 #: Latched topics of ROS, for recordings whose prologue has no quality of service: the ends of their names.

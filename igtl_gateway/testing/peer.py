@@ -27,6 +27,7 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.recorded_config import recorded_acceptance
 from igtl_gateway.testing.gateway import config_of, recorded_config
 from igtl_gateway.wire import Header, Message, decode, encode
+from igtl_gateway.wire.header import READING
 
 #: Default timeout, far longer than any expected delay: reaching it is a failure of the program under test.
 TIMEOUT_S = 20.0
@@ -223,7 +224,7 @@ class ReplayPeer:
         try:
             if self._header == Header.unpack(data).version:
                 return entry
-            message = decode(data)
+            message = self._acceptance.message(data)
         except WireError:
             return entry
         return replace(entry, payload=encode(replace(message, header_version=self._header, layout=None)))
@@ -232,7 +233,7 @@ class ReplayPeer:
 
     def _on_frame(self, _link: int, data: Buffer) -> None:
         try:
-            message = decode(data)
+            message = decode(data, reading=READING)
         except WireError as error:
             self._on_note(0, Note(Level.ERROR, error.code, f"the program sent an invalid message: {error}"))
             return

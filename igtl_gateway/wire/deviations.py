@@ -1,7 +1,7 @@
-"""Deviations of known programs: what an error means to the author of the sender.
+"""Deviations of known programs: which are read, and what an error means to the author of the sender.
 
-Only a message that was refused is looked at, so this costs nothing otherwise.  The rows are from the sources of these
-programs, or from messages that they sent here.
+Only a message that would be refused is looked at, so this costs nothing otherwise.  The rows are from the sources of
+these programs, or from messages that they sent here.
 """
 
 from __future__ import annotations
@@ -14,6 +14,15 @@ from igtl_gateway.base.errors import WireError
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.header import Header
 from igtl_gateway.wire.registry import BODIES, read_content
+
+#: Keys of what is read: no extended header where the header version asks for one, and the header version 3.
+BARE, VERSION_3 = "bare", "version_3"
+#: Deviations that are read because their meaning is certain → what was done, and who does it.
+READ = {
+    BARE: "no extended header, which the header version asks for: read as version 1; openigtlink-rust 0.4.1 writes "
+    "version 2 so unless its version is set to 1",
+    VERSION_3: "header version 3 with the layout of version 2: read so; openigtlink-rust 0.4.1 writes it with metadata",
+}
 
 #: ITEM of pyigtl's own POSITION.
 _PYIGTL_POSITION = 152

@@ -23,6 +23,10 @@ crc64 = fastcrc.crc64.ecma_182
 
 #: Header versions that exist: 1 for protocol versions 1 and 2, 2 for protocol version 3.
 HEADER_VERSIONS = (1, 2)
+#: The rules by which messages that deviate from the protocol are read; older recordings do not state them, which is 0.
+#: 1: header version 2 without an extended header, header version 3 with the layout of version 2, and milliseconds in
+#: place of the fraction of a second.
+READING = 1
 
 #: Sizes of the two names, in bytes.  C++ readers need a NUL at the end of the device name.
 TYPE_SIZE, DEVICE_NAME_SIZE = 12, 20

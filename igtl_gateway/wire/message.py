@@ -16,18 +16,19 @@ from contextlib import suppress
 from dataclasses import field
 from typing import Any, ClassVar
 
-from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer, join
 from igtl_gateway.base.errors import ChecksumMismatch, MalformedBody, TruncatedMessage, WireError
 from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.stamp import fraction_to_ns
 from igtl_gateway.base.values import value
 from igtl_gateway.wire.body import Body
-from igtl_gateway.wire.deviations import explained
+from igtl_gateway.wire.deviations import BARE, READ, VERSION_3, explained
 from igtl_gateway.wire.fields import visible
-from igtl_gateway.wire.header import HEADER_SIZE, HEADER_VERSIONS, Header, crc64
+from igtl_gateway.wire.header import HEADER_SIZE, HEADER_VERSIONS, READING, Header, crc64
 from igtl_gateway.wire.layout import Field, compile_struct, offset_of
 from igtl_gateway.wire.layout import Layout as Rows
-from igtl_gateway.wire.registry import describe_content, read_content
+from igtl_gateway.wire.query import EmptyQuery, split_query
+from igtl_gateway.wire.registry import BODIES, describe_content, read_content
 from igtl_gateway.wire.text import US_ASCII, mib_of
 
 #: The reference library's reader holds metadata sizes in 16 bits and refuses more.
@@ -79,11 +80,13 @@ class MetadataLayout:
     Attributes:
         extension: what follows the 12 known bytes of the extended header.
         metadata_header, metadata: as received: missing, with bytes behind the items, or larger than we send.
+        deviation: key of ``deviations.READ`` if the message is not one of the protocol; "" otherwise.
     """
 
     extension: bytes
     metadata_header: bytes
     metadata: bytes
+    deviation: str = ""
 
     def holds(self, metadata: tuple[Item, ...]) -> bool:
         """Return whether it has these items; it has not if they were replaced after decoding."""
@@ -99,7 +102,7 @@ class Message:
         device_name: name of the stream, at most 20 bytes of UTF-8.
         content: the decoded body; ``Raw`` for types without a codec.
         ticks: tick word of the sender's time stamp; 0 = unset.
-        header_version: 1 or 2.  Version 1 carries neither id nor metadata.
+        header_version: 1 or 2, and 3 of a message that deviates.  Version 1 carries neither id nor metadata.
         message_id: sender's id of the message (version 2).
         metadata: pairs in wire order (version 2).
         layout: for messages received: oddities around the content, so that they are encoded as received.
@@ -114,9 +117,20 @@ class Message:
     metadata: tuple[Item, ...] = field(default=())
     layout: MetadataLayout | None = None
 
+    @property
+    def deviation(self) -> str:
+        """How a received message deviates from the protocol, a key of ``deviations.READ``; "": it does not."""
+        return self.layout.deviation if self.layout else ""
 
-def decode(data: Buffer, *, check_crc: bool = True) -> Message:
+
+def decode(data: Buffer, *, check_crc: bool = True, reading: int = 0) -> Message:
     """The message in ``data``: exactly one, whole, header and body.
+
+    Args:
+        data: header and body.
+        check_crc: whether a wrong CRC is an error.
+        reading: which messages that deviate from the protocol are read, by these rules: 0 none, ``READING`` all whose
+            meaning is certain.  Such a message has a ``deviation``, and is encoded as it was received.
 
     Raises:
         TruncatedMessage: fewer bytes than header or fields announce.
@@ -126,8 +140,9 @@ def decode(data: Buffer, *, check_crc: bool = True) -> Message:
     view = memoryview(data)
     header = Header.unpack(view)
     body = view[HEADER_SIZE:]
-    if header.version not in HEADER_VERSIONS:
-        raise explained(MalformedBody("header, version", header.version, "1 or 2"), header, body, body)
+    deviates = header.version not in HEADER_VERSIONS
+    if deviates and not (reading and header.version == _NEXT_VERSION):
+        raise _unknown_version(header, body)
     if body.nbytes != header.body_size:
         error = TruncatedMessage if body.nbytes < header.body_size else MalformedBody
         raise error(f"{visible(header.type)} body", counted(body.nbytes, "byte"), counted(header.body_size, "byte"))
@@ -136,7 +151,45 @@ def decode(data: Buffer, *, check_crc: bool = True) -> Message:
     try:
         return _decoded(header, body)
     except (MalformedBody, TruncatedMessage) as error:
+        if reading and (message := _bare(header, body)):
+            return message
+        if deviates:
+            raise _unknown_version(header, body) from None
         raise explained(error, header, body, _content(header, body)) from None
+
+
+#: What some programs write for protocol version 3.
+_NEXT_VERSION = 3
+
+
+def _unknown_version(header: Header, body: memoryview) -> WireError:
+    return explained(MalformedBody("header, version", header.version, "1 or 2"), header, body, body)
+
+
+def _bare(header: Header, body: memoryview) -> Message | None:
+    """The message of a body that is a content alone, without an extended header; None if that is not certain.
+
+    It is certain if the first bytes cannot be an extended header, and the body is, to the last byte, a content of a
+    type that has one.
+    """
+    codec = BODIES.get(visible(header.type))
+    if header.version == 1 or codec is None:
+        return None
+    # any bytes fit a query without fields, and what is no query has a content
+    if codec is EmptyQuery if body.nbytes else split_query(header.type) is None:
+        return None
+    try:
+        ExtendedHeader.unpack(body)
+    except WireError:
+        try:
+            content = read_content(header.type, body)
+            if not isinstance(content, codec) or join(content.pack()) != body:
+                return None
+        except WireError:
+            return None
+        layout = MetadataLayout(b"", b"", b"", BARE)
+        return Message(header.type, header.device_name, content, header.ticks, header.version, layout=layout)
+    return None
 
 
 def _content(header: Header, body: memoryview) -> memoryview:
@@ -157,6 +210,7 @@ def _decoded(header: Header, body: memoryview) -> Message:
     items, items_end = _metadata(head, data)
     extension = body[_EXTENDED.size : extended.ext_header_size]
     tight = head.nbytes == _COUNT.size + len(items) * _ITEM.size and items_end == data.nbytes <= MAX_METADATA_SENT
+    deviation = "" if header.version in HEADER_VERSIONS else VERSION_3
     return Message(
         header.type,
         header.device_name,
@@ -165,7 +219,9 @@ def _decoded(header: Header, body: memoryview) -> Message:
         header.version,
         extended.message_id,
         items,
-        None if tight and not extension else MetadataLayout(bytes(extension), bytes(head), bytes(data)),
+        None
+        if tight and not extension and not deviation
+        else MetadataLayout(bytes(extension), bytes(head), bytes(data), deviation),
     )
 
 
@@ -175,7 +231,12 @@ def metadata_of(data: Buffer) -> tuple[Item, ...]:
     if Header.unpack(view).version == 1:
         return ()
     body = view[HEADER_SIZE:]
-    _, head, items = ExtendedHeader.unpack(body).split(body)
+    try:
+        _, head, items = ExtendedHeader.unpack(body).split(body)
+    except WireError:
+        if _bare(Header.unpack(view), body):
+            return ()
+        raise
     return _metadata(head, items)[0]
 
 
@@ -306,14 +367,14 @@ def encode(message: Message) -> list[Buffer]:
 
 
 def _encode(message: Message) -> list[Buffer]:
-    if message.header_version not in HEADER_VERSIONS:
+    if message.header_version not in HEADER_VERSIONS and not message.deviation:
         raise MalformedBody("header, version", message.header_version, "1 or 2")
     parts = message.content.pack()
-    if message.header_version == 1:
+    if message.header_version == 1 or (message.deviation == BARE and not message.metadata):
         front, back = b"", b""
     else:
         layout = message.layout
-        if layout is None or not layout.holds(message.metadata):
+        if layout is None or layout.deviation == BARE or not layout.holds(message.metadata):
             layout = MetadataLayout(b"", *_pack_metadata(message.metadata))
         extended_size = _EXTENDED.size + len(layout.extension)
         head, metadata = layout.metadata_header, layout.metadata
@@ -376,7 +437,7 @@ def describe(data: Buffer) -> dict[str, Any]:
     shown["crc_ok"] = wrong is None and body.nbytes == header.body_size
     errors: list[WireError] = [wrong] if wrong else []
     try:
-        if header.version == 2:
+        if header.version > 1:
             with suppress(MalformedBody, TruncatedMessage):  # that of ``decode`` also has what is known of the sender
                 extended = ExtendedHeader.unpack(body)
                 shown["ext"] = {
@@ -388,8 +449,11 @@ def describe(data: Buffer) -> dict[str, Any]:
                 shown["content_size"] = extended.split(body)[0].nbytes
         else:
             shown["content_size"] = body.nbytes
-        message = decode(view, check_crc=False)
-        if header.version == 2:
+        message = decode(view, check_crc=False, reading=READING)
+        if message.deviation:
+            shown["deviation"] = READ[message.deviation]
+            shown["content_size"] = sum(memoryview(part).nbytes for part in message.content.pack())
+        if header.version > 1:
             shown["metadata"] = [
                 {"key": visible(item.key), "encoding": item.encoding, "value": item.text} for item in message.metadata
             ]

@@ -52,7 +52,12 @@ class EmptyQuery:
     @property
     def resolution(self) -> int:
         """Minimum interval between two messages in milliseconds, of an STT_; 0 = every message."""
-        return _LONG_INTERVAL.unpack(self.data)[0] if len(self.data) == _LONG_INTERVAL.size else 0
+        return _LONG_INTERVAL.unpack(self.data)[0] if self.is_long else 0
+
+    @property
+    def is_long(self) -> bool:
+        """Whether the content has the size of an interval as i64."""
+        return len(self.data) == _LONG_INTERVAL.size
 
     @classmethod
     def unpack(cls, content: memoryview) -> Self:

@@ -256,8 +256,7 @@ def test_a_client_that_is_silent(doctor: Doctor) -> None:
 def test_header_versions_that_do_not_fit(doctor: Doctor) -> None:
     data = wire(pose())
     for sent, cause in (
-        (b"\0\3" + data[2:], "IGTL-E201"),
-        (b"\0\2" + data[2:], "IGTL-E202"),
+        (b"\0\4" + data[2:], "IGTL-E201"),
         (b"\0\1" + wire(pose(header_version=2))[2:], "IGTL-E202"),
     ):
         with serving(says(sent)) as place:

@@ -62,7 +62,7 @@ def test_the_recording_keeps_it_all(config: Config) -> None:
 
 def test_who_is_live_is_watched_unless_told_otherwise() -> None:
     assert [Config(watch=watch).watched().watch for watch in (None, False, True)] == [True, False, True]
-    assert Config.from_dict({"watch": None}) == Config(naming=0, fitting=0)  # as it is stored
+    assert Config.from_dict({"watch": None}) == Config(naming=0, fitting=0, reading=0)  # as it is stored
     assert Config.of_values({}) == Config()
     assert (Config().watched().cautious, Config(cautious=False).watched().cautious) == (True, False)
 

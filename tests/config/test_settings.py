@@ -19,6 +19,7 @@ from igtl_gateway.config.settings import SETTINGS, VIDEO_CODECS, all_settings, c
 from igtl_gateway.edges.tcp import PeerLimits
 from igtl_gateway.edges.video import CODECS, VideoOptions
 from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.wire.header import READING
 from tests.tables import table
 
 _ROWS = {row.name: row for row in all_settings()}
@@ -26,7 +27,8 @@ _ROWS = {row.name: row for row in all_settings()}
 
 def test_the_table_has_the_fields_of_the_configuration_with_their_defaults() -> None:
     fields = {field.name: field.default for field in dataclasses.fields(Config)}
-    assert (fields.pop("naming"), fields.pop("fitting")) == (NAMING, FITTING)  # of the program, and no settings
+    rules = [fields.pop(name) for name in ("naming", "fitting", "reading")]
+    assert rules == [NAMING, FITTING, READING]  # of the program, and no settings
     assert {*of_table(GATEWAY), *of_table(ROWS)} == set(fields)
     assert {fields.pop(name) for name in LIVE} == {None}  # of sessions that are not live
     assert {name: _ROWS[name].default for name in LIVE} == LIVE

@@ -292,9 +292,31 @@ def test_the_text_names_the_senders_that_do_it(made: Callable[[], Scene], rule: 
     assert named in texts[f"IGTL-{rule}"]
 
 
+def test_what_deviates_and_is_read_is_a_warning_and_an_error_where_it_was_refused() -> None:
+    plain = join(encode(Message("TRANSFORM", "Probe", pose(), ns_to_ticks(T0_NS))))
+    for version, code in ((2, "E202"), (3, "E201")):
+        data = bytes([0, version]) + plain[2:]
+        assert scene().add(Kind.IGTL_IN, data, source_ns=T0_NS).found == ["W209"]
+        assert code in scene(reading=0).add(Kind.IGTL_IN, data).found
+    texts = {finding.rule.id: finding.match.text for finding in judge(scene().add(Kind.IGTL_IN, data).observed)}
+    assert (
+        texts["IGTL-W209"].startswith("1 message with no extended header")
+        and "openigtlink-rust 0.4.1" in texts["IGTL-W209"]
+    )
+
+
+def test_milliseconds_that_the_session_has_read_are_said_to_be() -> None:
+    made = fractions(scene(), 1_000)
+    assert "they are read so" not in judge(made.observed)[0].match.text
+    for stream in made.observed.streams.values():
+        stream.milliseconds = 1
+    texts = {finding.rule.id: finding.match.text for finding in judge(made.observed)}
+    assert texts["IGTL-W307"].endswith("; they are read so")
+
+
 def test_the_advice_names_the_senders_that_do_it() -> None:
     advice = {rule.id: rule.advice for rule in RULES}
-    assert "openigtlink-rust" in advice["IGTL-E201"] and "openigtlink-rust" in advice["IGTL-E202"]
+    assert "OpenIGTLink4J" in advice["IGTL-W307"]
     assert "MATLAB" in advice["IGTL-E206"] and "pyIGTLink" in advice["IGTL-E210"]
 
 

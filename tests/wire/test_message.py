@@ -98,7 +98,8 @@ def test_unknown_header_versions(version: int) -> None:
         decode(framed(b"\0\3\0\2hi", version))
     with pytest.raises(MalformedBody, match="version"):
         encode(Message("STRING", "d", String(b"hi"), header_version=version))
-    assert describe(framed(b"\0\3\0\2hi", version))["error"]["code"] == "malformed"
+    if version != 3:  # which is read, see test_deviations
+        assert describe(framed(b"\0\3\0\2hi", version))["error"]["code"] == "malformed"
 
 
 def test_crc_is_checked_unless_told_not_to() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 from igtl_gateway.addon import WireError
 from igtl_gateway.addon.igtl import (
     BODIES,
+    HEADER_VERSIONS,
     Bind,
     BindChild,
     Capability,
@@ -100,6 +101,7 @@ class MessageCleaner:
             type=type_name,
             device_name=short_device_name(name),
             content=content,
+            header_version=min(message.header_version, HEADER_VERSIONS[-1]),
             ticks=context.times.ticks(message.ticks),
             metadata=self._metadata(message, name),
             layout=None,

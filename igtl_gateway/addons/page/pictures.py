@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from igtl_gateway.addon import WireError
-from igtl_gateway.addon.igtl import Image, decode
+from igtl_gateway.addon.igtl import READING, Image, decode
 
 #: Longest side of a small picture, pixels.
 SMALL = 320
@@ -23,7 +23,7 @@ def small_png(message: bytes) -> bytes:
 
     Raises WireError: the message is no IMAGE.
     """
-    image = decode(message, check_crc=False).content
+    image = decode(message, check_crc=False, reading=READING).content
     if not isinstance(image, Image):
         raise WireError("picture", type(image).__name__, "an IMAGE")
     columns, rows, slices = image.sub_size

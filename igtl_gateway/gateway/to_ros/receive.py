@@ -20,6 +20,7 @@ from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_failure
 from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.to_ros.beforehand import Beforehand
+from igtl_gateway.gateway.to_ros.deviations import as_meant, deviation_finding
 from igtl_gateway.gateway.to_ros.route import Router
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.command import Command
@@ -70,6 +71,8 @@ class IgtlReceiver:
             return Outcome(self._queries.identify(entry, peer) if peer else [], PROBED, decoded=True)
         is_first = peer is not None and not peer.shown
         news = self._links.learned(entry, peer, message) if peer else []
+        if message.deviation:
+            news.append(deviation_finding(entry, peer, message.deviation))
         if denied := self._denied.message(message):
             return Outcome([*news, *self._deny(entry, peer, message, denied)], "denied", decoded=True)
         if not self._activity.active:
@@ -94,6 +97,7 @@ class IgtlReceiver:
         restored = self._beforehand.restored(entry, message)
         if answered and not restored.device_name and self._config.naming:
             restored = replace(restored, device_name=answered)
+        message = as_meant(message, peer)
         outcome = self._router.route(entry, message, restored)
         outcome.decoded = True
         if peer is None:

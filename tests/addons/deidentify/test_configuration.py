@@ -70,7 +70,7 @@ COUNTED = {"base frame": 1, "robots": 2, "to peers": 3, "frames": 4, "to ROS": 4
 #: Settings without a name: words of a list, numbers and truth values.
 STAY = frozenset(
     "ros_unit igtl_unit stamp check_crc max_streams profile publish_tf command_timeout_s relay faults fault_seed "
-    "max_age_s watch cautious keep_mib latched_mib max_behind_s naming fitting".split()
+    "max_age_s watch cautious keep_mib latched_mib max_behind_s naming fitting reading".split()
 )
 
 

@@ -114,6 +114,15 @@ BLOCKS: tuple[tuple[Item, ...], ...] = (
 )
 
 
+def deviating(draw: st.DrawFn, message: Message) -> bytes:
+    """A message as programs write it that deviate: bare, or of header version 3, now and then."""
+    kind = draw(st.sampled_from(["", *[""] * 12, "bare", "version 3"]))
+    if kind == "bare":
+        message = replace(message, header_version=1, message_id=0, metadata=())
+    data = join(encode(message))
+    return data[:1] + bytes([2 if kind == "bare" else 3 if kind else data[1]]) + data[2:]
+
+
 def with_odd_sizes(draw: st.DrawFn, data: bytes) -> bytes:
     """A message of header version 2, whose sizes are wrong or whose extended header is longer now and then."""
     if data[1] != 2 or draw(st.integers(0, 9)):
@@ -139,7 +148,7 @@ def igtl_messages(draw: st.DrawFn) -> Step:
     items = draw(st.sampled_from(BLOCKS)) if version == 2 else ()
     name = "TRANSFORM" if isinstance(content, Transform) else "POSITION"
     message = Message(name, device, content, ns_to_ticks(draw(stamps)), version, draw(st.integers(0, 3)), items)
-    data = bytearray(with_odd_sizes(draw, join(encode(message))))
+    data = bytearray(with_odd_sizes(draw, deviating(draw, message)))
     if draw(st.integers(0, 9)) == 0:
         data[draw(st.sampled_from([50, 60, len(data) - 1]))] ^= 1
     return "igtl", bytes(data), draw(st.sampled_from([1, 2]))

@@ -15,6 +15,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -458,7 +459,12 @@ def _odd_message(rng: random.Random, step: int) -> bytes:
         message = Message("STRING", device, StringBody.of("text"), ticks, version, step, items)
     else:
         message = Message("STATUS", device, Status(1, 0, "", "ok"), ticks, version)
+    odd = rng.choice(["bare", "version 3", *[""] * 40])
+    if odd == "bare":
+        message = replace(message, header_version=1, message_id=0, metadata=())
     data = bytearray(join(encode(message)))
+    if odd:
+        data[1] = rng.choice([2, 3]) if odd == "bare" else 3
     if rng.random() < 0.02:
         data[rng.choice([50, 60, len(data) - 1])] ^= 1
     return bytes(data)
