@@ -92,6 +92,7 @@ SLOW = (
     "addons/review/test_error.py",
     "integration/test_simulate.py",
     "integration/test_black_box_live.py",
+    "integration/test_clock_live.py",
     "integration/test_crash.py",
     "integration/test_relay.py",
     "integration/test_lifecycle.py",

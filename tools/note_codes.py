@@ -115,6 +115,10 @@ NOTES: dict[str, dict[str, str]] = {
         "stream_silent": "a periodic stream of an open link, or of ROS, has had no message for 5 s",
         "stream_back": "it has messages again, and how long it had none",
         "clock_step": "the clock of this host was set",
+        "ask_clock": "an input: the peer is asked for its clock, and answers with its time",
+        "peer_clock": "how far the clock of a peer is ahead, with its error; after the first answer, and once a minute",
+        "peer_clock_step": "the offset to the clock of a peer has changed: its clock or that of this host was set",
+        "peer_no_clock": "a peer's answers have stamps that do not change or contradict each other: no offset is known",
         "halted": "the bridge was stopped or had no processor: what came is late by at most `late_ns`",
     },
     "ROS 2": {

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.app.awaited_sources import AwaitedSources
 from igtl_gateway.app.bridge_options import Address, BridgeOptions
+from igtl_gateway.app.clock_asker import ClockAsker
 from igtl_gateway.app.diagnostics import DiagnosticsTopic
 from igtl_gateway.app.hub import DeferredSend, Hub, Sink
 from igtl_gateway.app.live_changes import LiveChanges
@@ -177,10 +178,12 @@ class Bridge:
             options.recording.triggers if options.record else (),
             [text.rpartition("=")[0] for text in options.site.classes],
             [address_text(each) for each in options.connect],
+            options.clock_from,
         )
         #: The configured sources that are not there.
         self.awaited = AwaitedSources(expected, self._present_sources, self.hub.note)
         self._silences = Silences()
+        self._clocks = ClockAsker(options.clock_from, self.gateway.questions, self.hub.note)
         tick_ns = _FAULTY_TICK_NS if config.faults else _TICK_NS
         timer = Timer(
             self.hub.tick,
@@ -381,7 +384,9 @@ class Bridge:
     def _each_second(self) -> None:
         """Publish log and diagnostics, note silent streams, and return idle memory.  Runs in the timer's thread."""
         self._memory.look()
-        self.awaited.look(self._clock.monotonic_ns())
+        now_ns = self._clock.monotonic_ns()
+        self._clocks.look([link.number for link in self.tcp.links() if link.connected], now_ns)
+        self.awaited.look(now_ns)
         if self._passage:
             now_ns = self.hub.now_ns()
             self._reports.extend(Event(now_ns, Kind.EDGE_NOTE, note, ()) for note in self._passage.look())

@@ -88,6 +88,7 @@ class BridgeOptions:
     record: Path | None = None
     record_topics: tuple[str, ...] = ()
     allow: tuple[str, ...] = ()
+    clock_from: tuple[str, ...] = ()
     limits: PeerLimits = field(default_factory=PeerLimits)
     tls: TlsFiles = field(default_factory=TlsFiles)
     tls_listen: frozenset[Address] = frozenset()
@@ -140,6 +141,8 @@ def bridge_options(
             raise ConfigError(f"--relay: found {counted(len(connect), 'server')}, expected one: --connect HOST:PORT")
         if config.mark_from:
             raise ConfigError("--mark-from: found --relay, expected one of them: a relay reads no messages")
+        if values["clock_from"]:
+            raise ConfigError("--clock-from: found --relay, expected one of them: a relay sends no messages of its own")
         listen = listen or ((DEFAULT_HOST, DEFAULT_PORT),)
     if "peers" in given:
         _check_peers(config, (*listen, *connect))
@@ -157,6 +160,7 @@ def bridge_options(
             *_watched(how.triggers, ros=ros),
         ),
         allow=tuple(values["allow"]),
+        clock_from=tuple(values["clock_from"]),
         limits=limits(values),
         tls=tls(values),
         tls_listen=tls_listen,

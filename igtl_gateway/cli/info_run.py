@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,6 +35,7 @@ from igtl_gateway.record.sessionfile.index import recover_hint
 from igtl_gateway.record.sessionfile.reader import PartSummary, SessionFile
 from igtl_gateway.replay.content_figures import summary_of
 from igtl_gateway.replay.content_summary import ContentSummary, StreamSummary
+from igtl_gateway.replay.recorded_clocks import RecordedClocks
 from igtl_gateway.replay.recorded_config import peer_units
 from igtl_gateway.replay.recorded_marks import marks_of
 
@@ -59,6 +60,7 @@ def _run(options: argparse.Namespace, recording: Recording) -> int:
         with SessionFile.open(place, incomplete=True) as file:
             begin_ns = whole_number(file.session.get("slice_start_ns")) or 0
             content, why = summary_of(file, begin_ns, full=options.full)
+            content.offsets = RecordedClocks.of(file).offsets
             summary = _facts(place, file, content, file.start_ns, file.end_ns) | {"file": str(options.file)}
             summary["bytes"] = file.size
             summary["figures"] = {"entries_read": why is not None, "why": why or ""}
@@ -327,7 +329,7 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
     _print_streams(streams)
     for title, lines in (
         ("links", [_line(stamp, note, start_ns) for stamp, kind, note in notes if kind is Kind.LINK]),
-        ("clocks", [f"{_peer(clock)} by {clock['stream']}: {clock['text']}" for clock in summary["clocks"]]),
+        ("clocks", [line for clock in summary["clocks"] for line in _clock(clock)]),
         ("settings", [f"{change['at']}  {change['text']}" for change in summary["changes"]]),
         ("host's clock", [f"{step['at']}  {step['text']}" for step in summary["clock_steps"]]),
         ("marks", [*map(_mark, summary["marks"]), *_side_lines(summary["added_marks"])]),
@@ -440,6 +442,12 @@ def _stream_row(stream: dict[str, Any], *, shows_unit: bool) -> Sequence[str]:
 
 def _peer(clock: dict[str, Any]) -> str:
     return f"link {clock['link']} {clock['peer']}".rstrip() if clock["link"] else clock["peer"]
+
+
+def _clock(clock: dict[str, Any]) -> Iterator[str]:
+    yield f"{_peer(clock)} by {clock['stream']}: {clock['text']}"
+    if "offset" in clock:
+        yield f"{_peer(clock)}: {clock['offset']['text']}"
 
 
 def _line(stamp_ns: int, note: Note, start_ns: int) -> str:

@@ -155,6 +155,13 @@ def any_device(text: str) -> str:
     return text
 
 
+def address_glob(text: str) -> str:
+    """Return an address ``HOST:PORT`` or a glob of addresses."""
+    if not text.isprintable() or ":" not in text or " " in text:
+        raise ConfigError(f"found {text!r}, expected HOST:PORT or a glob such as 192.168.7.4:*")
+    return text
+
+
 def key_value(text: str) -> tuple[str, str]:
     """Parse ``KEY=VALUE``."""
     key, equals, value = text.partition("=")

@@ -190,6 +190,15 @@ _SECURITY = (
         needs=(CLIENTS,),
         common=True,
     ),
+    Setting(
+        "clock_from",
+        (),
+        "ask peers at this address for their clock, once a second: other gateways, and programs that stamp each answer "
+        "when they make it",
+        IGTL,
+        metavar="HOST:PORT",
+        reads=notations.address_glob,
+    ),
     Setting("tls", False, "use TLS at all addresses except those that begin with tcp://", IGTL),
     Setting("tls_cert", "", "own certificate (PEM); turns TLS on for --listen", IGTL, metavar="FILE"),
     Setting(

@@ -41,6 +41,7 @@ class Kind:
 KINDS = {
     "guard": Kind("a finding of the guard: stamps, units, ages", "stream"),
     "link_down": Kind("a link is lost", "address of the peer"),
+    "clock": Kind("the clock of a peer, or of this host, was set", "address of the peer"),
     "loss": Kind("messages were dropped: by a queue, the middleware, an encoder or the recorder", "stream"),
     "diagnostics": Kind("a status in `/diagnostics` becomes ERROR", "name of the status"),
     "status": Kind("a STATUS of a peer is not OK", "device"),

@@ -88,6 +88,7 @@ SOURCES: tuple[SourceKey, ...] = (
     SourceKey("site_classes", "", "stream", option="--site-class"),
     SourceKey("connect", "", "link"),
     SourceKey("peers", "at", "peer"),
+    SourceKey("clock_from", "", "peer", option="--clock-from"),
 )
 
 #: What the pattern of a trigger is compared with → kind; a stream need not come for its losses to be waited for.
@@ -210,6 +211,7 @@ def expected_sources(
     triggers: Iterable[Trigger] = (),
     classed: Iterable[str] = (),
     connect: Iterable[str] = (),
+    clock_from: Iterable[str] = (),
 ) -> list[ExpectedSource]:
     """Return the sources that a configuration names.
 
@@ -220,6 +222,7 @@ def expected_sources(
         triggers: rules of the black box.
         classed: globs of the topics with a class on the line between sites.
         connect: addresses of the servers that are connected to.
+        clock_from: globs of the addresses of peers that are asked for their clock.
     """
     given: dict[str, Iterable[Any]] = {
         "record_topics": recorded,
@@ -228,6 +231,7 @@ def expected_sources(
         "trigger": triggers,
         "site_classes": classed,
         "connect": connect,
+        "clock_from": clock_from,
     }
     found: dict[tuple[SourceKind, str], ExpectedSource] = {}  # of several settings with one name, the first one
     for key in SOURCES:

@@ -22,6 +22,8 @@ from igtl_gateway.gateway import LINK_DOWN
 from igtl_gateway.gateway.acceptance import DEFAULT_ACCEPTANCE, Acceptance
 from igtl_gateway.gateway.expected import NO_SOURCE
 from igtl_gateway.gateway.guarded_stream import CALM, CODES, FRESH
+from igtl_gateway.gateway.log.clock_offset import PEER_CLOCK_STEP
+from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.marks import MarkNote
 from igtl_gateway.gateway.log.note import STOPPED, Level, Note
@@ -32,6 +34,8 @@ from igtl_gateway.wire.text import Status
 #: Codes of the black box's own notes, which trigger nothing.
 TRIGGERED, SAVED, INCOMPLETE = "trigger", "trigger_saved", "trigger_incomplete"
 _OWN = frozenset({TRIGGERED, SAVED, INCOMPLETE})
+#: Codes of notes about clocks that were set.
+_SET = frozenset({CLOCK_STEP, PEER_CLOCK_STEP})
 _GUARD = CODES - {CALM, FRESH}
 #: Codes of notes about messages that were dropped.
 LOSSES = frozenset(
@@ -178,6 +182,12 @@ def _link_down(rule: Trigger, entry: Entry, _read: _Readers) -> _Found:
         yield "", True, note.text
 
 
+def _clock(rule: Trigger, entry: Entry, _read: _Readers) -> _Found:
+    note = _note(entry)
+    if note and note.code in _SET and matches(rule.pattern, str(note.data.get("peer", ""))):
+        yield "", True, note.text
+
+
 def _status(rule: Trigger, entry: Entry, read: _Readers) -> _Found:
     content = read.igtl.message(entry.data()).content
     if isinstance(content, Status):
@@ -235,6 +245,7 @@ _ROS = frozenset({Kind.ROS_IN, Kind.ROS_OUT})
 #: Kind of a rule → whether it concerns the stream of an entry.
 _CONCERNS: dict[str, Callable[[Trigger, Entry], bool]] = {
     "guard": lambda _, entry: entry.kind in _NOTES,
+    "clock": lambda _, entry: entry.kind in _NOTES,
     "link_down": lambda _, entry: entry.kind is Kind.LINK,
     "loss": lambda _, entry: entry.kind in _NOTES,
     "diagnostics": lambda _, entry: entry.kind is Kind.ROS_IN and entry.type == DiagnosticArray.TYPE,
@@ -252,6 +263,7 @@ _CONCERNS: dict[str, Callable[[Trigger, Entry], bool]] = {
 #: Kind of a rule → what it finds in an entry of such a stream.
 _LOOKS: dict[str, Callable[[Trigger, Entry, _Readers], _Found]] = {
     "guard": _of_codes(_GUARD),
+    "clock": _clock,
     "link_down": _link_down,
     "loss": _of_codes(LOSSES),
     "diagnostics": _diagnostics,

@@ -53,6 +53,8 @@ VALUE = "value=/force,field=wrench.force.z,above=5"
         ("guard", [_note("stamp_backwards", Kind.NOTE, "TRANSFORM/a"), _note("calm"), _note("bad_crc")], [0]),
         ("guard=*/b", [_note("stale", Kind.NOTE, "TRANSFORM/a"), _note("stale", Kind.NOTE, "TRANSFORM/b")], [1]),
         ("link_down", [_note("link_up", Kind.LINK, peer="1.2.3.4:5"), _note("link_down", Kind.LINK, peer="a:5")], [1]),
+        ("clock", [_note("peer_clock", peer="a:5"), _note("peer_clock_step", peer="a:5"), _note("clock_step")], [1, 2]),
+        ("clock=10.0.*", [_note("peer_clock_step", peer=each) for each in ("10.0.0.7:5", "10.1.0.7:5")], [0]),
         ("link_down=1.2.*", [_note("link_down", Kind.LINK, peer="1.2.3.4:5"), _note("link_down", Kind.LINK)], [0]),
         ("link_down", [_note("link_down", Kind.LINK, reason=each) for each in ("stopped", "closed by the peer")], [1]),
         ("loss", [_note("queue_drop"), _note("tick"), _note("ros_lost")], [0, 2]),

@@ -1,9 +1,9 @@
-"""Peers with clocks that are known, asked once a second, and what the estimate of their offset says.
+"""Peers with clocks that are known, asked once a second, and the estimate of their offset.
 
     python -m tools.evidence.clock_worlds [--worlds 200] [--hours 24]
 
 Prints how often the truth is outside of the stated interval, how soon planted steps are noticed, and how many steps are
-noticed that nobody planted.
+noticed that are not planted.
 """
 
 from __future__ import annotations
@@ -81,13 +81,13 @@ class World:
 
 @dataclass
 class Found:
-    """What the estimate said about a world.
+    """What the estimate showed of a world.
 
     Attributes:
         judged: moments at which the interval was compared with the truth; outside: with the truth outside.
         hidden: the same between a planted step and its note.
         noticed_s: from the planted step to its note; inf: there was none.
-        false: steps that nobody planted; no_clock: findings that this is no clock.
+        false: steps that are not planted; no_clock: findings that this is no clock.
         bounds_ns: half widths of the interval.
     """
 
@@ -116,18 +116,18 @@ def run(world: World) -> Found:
         made_ns = now_ns + world.delay_ns(0, *busy)
         answered_ns = made_ns + world.delay_ns(1, *busy)
         stamp_ns = world.stamp(made_ns + world.offset_ns(made_ns))
-        said = estimate.add(now_ns, stamp_ns, answered_ns)
-        if isinstance(said, ClockStep):
+        shown = estimate.add(now_ns, stamp_ns, answered_ns)
+        if isinstance(shown, ClockStep):
             if answered_ns >= step_ns and found.noticed_s == math.inf:
                 found.noticed_s = (answered_ns - step_ns) / NS_PER_S
             else:
                 found.false += 1
-        found.no_clock += isinstance(said, NoClock)
+        found.no_clock += isinstance(shown, NoClock)
         next_ns = max(answered_ns, now_ns + NS_PER_S + round(chance.expovariate(1 / NS_PER_MS)))
         for at_ns in (answered_ns, next_ns):
             offset = estimate.offset(at_ns)
             truth_ns = world.offset_ns(at_ns)
-            if offset and not (made_ns < step_ns <= at_ns):  # what no answer has shown yet, nobody knows
+            if offset and not (made_ns < step_ns <= at_ns):  # what no answer has shown yet, is not known
                 found.judged += 1
                 is_outside = not offset.low_ns <= truth_ns <= offset.high_ns
                 is_hidden = at_ns >= step_ns and found.noticed_s == math.inf
@@ -154,7 +154,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--worlds", type=int, default=200)
     parser.add_argument("--hours", type=int, default=24)
-    parser.add_argument("--long", type=int, default=8, help="worlds of so many hours")
+    parser.add_argument("--long", type=int, default=8, help="number of worlds of --hours")
     options = parser.parse_args()
     results = planted(options.worlds)
     found = [one for _, one in results]
@@ -169,9 +169,9 @@ def main() -> None:
         f"{bounds[len(bounds) * 95 // 100] / 1e6:.1f} ms",
         "steps of 20 ms noticed": f"{sum(one < math.inf for one in steps)} of {len(steps)}, "
         f"median {steps[len(steps) // 2]:.1f} s, latest {steps[-1]:.1f} s",
-        "steps that nobody planted": f"{sum(one.false + one.no_clock for one in found)}",
+        "steps that are not planted": f"{sum(one.false + one.no_clock for one in found)}",
         f"{options.long} peers for {options.hours} h: questions": f"{sum(one.judged for one in long) // 2:,}",
-        "of these: steps that nobody planted": f"{sum(one.false + one.no_clock for one in long)}",
+        "of these: steps that are not planted": f"{sum(one.false + one.no_clock for one in long)}",
         "of these: truth outside of the interval": f"{sum(one.outside for one in long)}",
     }
     print(f"| {options.worlds} peers, of which {len(steps)} have a step of 20 ms | |\n|---|---|")

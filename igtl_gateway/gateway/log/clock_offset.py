@@ -5,9 +5,9 @@ the stamp was made between the two, and the offset is in [stamp - answered, stam
 differ by direction make it wide, not wrong.  Every further answer makes it narrower.  Between answers it grows by
 ``DRIFT_PPM``, which is more than two clocks drift apart, also while NTP slews one of them.
 
-An answer that contradicts the interval is a clock that was set: one of the two.  It is believed when a second answer
-says the same, and a new interval begins.  Until then the interval has both.  Clocks that contradict themselves again
-and again, and stamps that stand still, are no clock: there is no interval for as long as they do so.
+An answer that contradicts the interval is a clock that was set: one of the two.  It is accepted when a second answer
+shows the same, and a new interval begins.  Until then the interval has both.  Clocks that contradict themselves again
+and again, and stamps that do not change, give no interval for as long as they do so.
 
 Pure: all times are arguments, gateway time and stamps in UTC nanoseconds.
 """
@@ -34,9 +34,9 @@ DRIFT_PPM = 1_000
 _DRIFT_MIN_NS, _WINDOW_NS = 60 * NS_PER_S, 300 * NS_PER_S
 #: Stamps are rounded: seconds as float64 by 240 ns, the ticks of OpenIGTLink by less.
 _ROUNDING_NS = 1_000
-#: Contradictions within this time, from which on the stamps are no clock; a clock that is set once makes two.
+#: Contradictions within this time, from which on there is no interval; a clock that is set once makes two.
 _MANY, _MANY_NS = 7, 60 * NS_PER_S
-#: Answers in a row with one stamp, from which on the same is said.
+#: Answers in a row with one stamp, from which on there is no interval.
 _STILL = 5
 #: After a step of this host's clock, gateway time may stand, and then advances by nanoseconds only.
 _QUIET_NS = NS_PER_S // 10
@@ -116,7 +116,7 @@ class ClockStep:
 
 @dataclass(frozen=True, slots=True)
 class NoClock:
-    """The stamps of answers are no clock; ``stands``: they stand still, else they contradict themselves."""
+    """The stamps of answers show no clock; ``stands``: they do not change, else they contradict each other."""
 
     stands: bool
 

@@ -217,7 +217,7 @@ class StampTiming:
 
     @property
     def ahead_ns(self) -> int | None:
-        """By how much the sender's clock is ahead of ours at least, ns; None without a stamp.
+        """By how much the sender's clock is ahead of our own at least, ns; None without a stamp.
 
         Of the last ten to twenty seconds, because clocks drift: a stamp is made before its message arrives.
         """
