@@ -35,6 +35,7 @@ from igtl_gateway.record.sessionfile.index import recover_hint
 from igtl_gateway.record.sessionfile.reader import PartSummary, SessionFile
 from igtl_gateway.replay.content_figures import summary_of
 from igtl_gateway.replay.content_summary import ContentSummary, StreamSummary
+from igtl_gateway.replay.exchange_summary import ExchangeSummary, ends_text
 from igtl_gateway.replay.recorded_clocks import RecordedClocks
 from igtl_gateway.replay.recorded_config import peer_units
 from igtl_gateway.replay.recorded_marks import marks_of
@@ -66,6 +67,7 @@ def _run(options: argparse.Namespace, recording: Recording) -> int:
             summary["figures"] = {"entries_read": why is not None, "why": why or ""}
             summary["damaged_indexes"] = file.damaged_indexes()
             summary["skipped"] = [asdict(skipped) for skipped in file.skipped]
+            summary |= _exchanges(ExchangeSummary.of(file))
             if file.parts:
                 summary["parts"] = [_part(part) for part in file.parts]
                 summary["missing_parts"] = [list(each) for each in file.missing_parts]
@@ -114,10 +116,11 @@ def _run_damaged(options: argparse.Namespace, place: Path, error: DamagedRecordi
     from igtl_gateway.record.sessionfile.salvage import Salvage  # here: few recordings are damaged
 
     with Salvage.open(place) as file:
-        content = ContentSummary.of(file.entries())
+        exchanges = ExchangeSummary()
+        content = ContentSummary.of(exchanges.passing(file.entries()))
         report = file.report
         summary = _facts(place, file, content, report.start_ns, report.end_ns)
-        summary |= {"file": str(options.file), "skipped": []}
+        summary |= {"file": str(options.file), "skipped": [], **_exchanges(exchanges)}
     summary["bytes"] = place.stat().st_size
     summary |= {"being_recorded": True} if growing else {"damaged": {"why": why, **asdict(report)}}
     if options.json:
@@ -181,6 +184,10 @@ def _facts(
         "gaps": gaps(file.ledger or {}),
         "seal": None if isinstance(file, SessionFile) and not file.is_sealed else _seal(path),
     }
+
+
+def _exchanges(found: ExchangeSummary) -> dict[str, Any]:
+    return {"services": found.services, "actions": found.actions}
 
 
 def _added(path: Path, start_ns: int, end_ns: int) -> tuple[Sequence[Mark], dict[str, Any] | None]:
@@ -327,6 +334,8 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
             rows.append((part["file"], f"{part['entries']:,}", size_text(part["bytes"]), *span))
         print_line(*aligned(rows, indent="    "))
     _print_streams(streams)
+    _print_exchanges("services", "calls", "service", summary["services"])
+    _print_exchanges("actions", "goals", "action", summary["actions"])
     for title, lines in (
         ("links", [_line(stamp, note, start_ns) for stamp, kind, note in notes if kind is Kind.LINK]),
         ("clocks", [line for clock in summary["clocks"] for line in _clock(clock)]),
@@ -416,6 +425,13 @@ def _print_streams(streams: list[dict[str, Any]]) -> None:
         rows.append(_stream_row(stream, shows_unit=len(units[direction in _IGTL]) > 1))
     if rows:
         print_line(*aligned(rows, text=True))
+
+
+def _print_exchanges(title: str, number: str, name: str, found: list[dict[str, Any]]) -> None:
+    """Print a table of services or actions: how many calls or goals, and how they ended."""
+    if found:
+        rows = [(f"  {each[name]}", f"{each[number]:,}", ends_text(each)) for each in found]
+        print_line(*aligned([(title, number, ""), *rows], text=True))
 
 
 def _stream_row(stream: dict[str, Any], *, shows_unit: bool) -> Sequence[str]:

@@ -37,9 +37,11 @@ def test_names(topic: str, names: tuple[str, tuple[str, str] | None]) -> None:
 
 def test_an_event_in_both_byte_orders() -> None:
     asked = exchanges.event(REQUEST_SENT, 5, 7, request=b"\1", client=b"c" * 16)
-    assert ServiceEvent.unpack(asked) == ServiceEvent(0, exchanges.START_NS + 5, b"c" * 16, 7, True, None)
+    assert ServiceEvent.unpack(asked) == ServiceEvent(
+        0, exchanges.START_NS + 5, b"c" * 16, 7, True, b"\1" + bytes(7), None
+    )
     big = b"\0\0\0\0" + struct.pack(">B3xiI16s4xqIIb", 3, 2, 9, b"c" * 16, 7, 0, 1, 4)
-    assert ServiceEvent.unpack(big) == ServiceEvent(3, 2_000_000_009, b"c" * 16, 7, False, b"\0\0\0\0\4")
+    assert ServiceEvent.unpack(big) == ServiceEvent(3, 2_000_000_009, b"c" * 16, 7, False, b"", b"\0\0\0\0\4")
     without = ServiceEvent.unpack(exchanges.event(RESPONSE_RECEIVED, 0, 1))
     assert (without.has_request, without.response) == (False, None)  # introspection of metadata only
 

@@ -24,6 +24,12 @@ CONFIG = Config(
 )
 
 
+def test_a_service_without_events_has_its_reason() -> None:
+    (missing,) = missing_sources(expected_sources(Config(), ["/arm/enable/_service_event"]), PresentSources(topics=()))
+    why = "no publisher: the service is not there, or its introspection is off"
+    assert missing.text == f"topic /arm/enable/_service_event: {why} (--record-topics)"
+
+
 def test_each_name_is_expected_and_a_pattern_of_everything_is_not() -> None:
     found = [
         (each.kind, each.name, each.setting)

@@ -1,0 +1,70 @@
+"""A service with introspection, an action and their clients in one foreign node: four calls, and three goals.
+
+They begin when all of their topics have a reader.  Printed: order and status of each goal.
+"""
+
+import threading
+import time
+from typing import Any
+
+import rclpy
+from rclpy.action import ActionClient, ActionServer, CancelResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import MultiThreadedExecutor
+from rclpy.qos import qos_profile_system_default
+from rclpy.service_introspection import ServiceIntrospectionState
+from std_srvs.srv import SetBool
+from test_msgs.action import Fibonacci
+
+TOPICS = ("/arm/enable/_service_event", "/fib/_action/feedback", "/fib/_action/status")
+ABORTED, CANCELED = 9, 5
+
+rclpy.init()
+node, group = rclpy.create_node("arm"), ReentrantCallbackGroup()
+
+
+def enable(request: Any, response: Any) -> Any:
+    response.success, response.message = request.data, "on" if request.data else "off"
+    return response
+
+
+def work(goal: Any) -> Any:
+    found = [0, 1]
+    while len(found) < 4 or (goal.request.order == CANCELED and not goal.is_cancel_requested):
+        found.append(found[-1] + found[-2])
+        goal.publish_feedback(Fibonacci.Feedback(sequence=found[:8]))
+        time.sleep(0.01)
+    {ABORTED: goal.abort, CANCELED: goal.canceled}.get(goal.request.order, goal.succeed)()
+    return Fibonacci.Result(sequence=found[:8])
+
+
+def done(future: Any) -> Any:
+    while not future.done():
+        time.sleep(0.002)
+    return future.result()
+
+
+service = node.create_service(SetBool, "/arm/enable", enable, callback_group=group)
+caller = node.create_client(SetBool, "/arm/enable", callback_group=group)
+for each in (service, caller):
+    each.configure_introspection(node.get_clock(), qos_profile_system_default, ServiceIntrospectionState.CONTENTS)
+accept = lambda _: CancelResponse.ACCEPT  # noqa: E731
+server = ActionServer(node, Fibonacci, "/fib", work, cancel_callback=accept, callback_group=group)
+client = ActionClient(node, Fibonacci, "/fib", callback_group=group)
+executor = MultiThreadedExecutor(4)
+executor.add_node(node)
+threading.Thread(target=executor.spin, daemon=True).start()
+while not all(node.count_subscribers(topic) > topic.endswith("feedback") for topic in TOPICS):
+    time.sleep(0.01)  # the client reads the feedback itself
+caller.wait_for_service()
+client.wait_for_server()
+for number in range(4):
+    done(caller.call_async(SetBool.Request(data=bool(number % 2))))
+for order in (3, ABORTED, CANCELED):
+    goal = done(client.send_goal_async(Fibonacci.Goal(order=order)))
+    result = goal.get_result_async()
+    if order == CANCELED:
+        done(goal.cancel_goal_async())
+    print(order, done(result).status, flush=True)  # noqa: T201 (the protocol)
+print("end", flush=True)  # noqa: T201
+threading.Event().wait()
