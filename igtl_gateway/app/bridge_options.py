@@ -31,7 +31,6 @@ from igtl_gateway.config.triggers import KINDS, Trigger, trigger
 from igtl_gateway.edges.reserved import ReservedPorts
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.edges.video import VideoOptions
-from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC
 from igtl_gateway.record.options import TIME, RecordOptions, path_at
 from igtl_gateway.record.selection import Selection
 
@@ -234,14 +233,13 @@ def limits(values: Mapping[str, Any]) -> PeerLimits:
 
 def _watched(rules: Iterable[Trigger], *, ros: bool) -> list[str]:
     """Return the topics that rules look at.  Raises ConfigError for a rule that has no effect."""
-    if not ros and any(rule.kind == "diagnostics" for rule in rules):
-        raise ConfigError("--trigger diagnostics: found --no-ros or --relay, expected neither: the rule has no effect")
-    topics = [rule.pattern if KINDS[rule.kind].is_topic else DIAGNOSTICS_TOPIC for rule in rules if _is_of_topics(rule)]
-    return list(dict.fromkeys(topics))
-
-
-def _is_of_topics(rule: Trigger) -> bool:
-    return KINDS[rule.kind].is_topic or rule.kind == "diagnostics"
+    watched = [(rule, KINDS[rule.kind]) for rule in rules]
+    for rule, row in watched:
+        if row.only_ros and not ros:
+            raise ConfigError(
+                f"--trigger {rule.kind}: found --no-ros or --relay, expected neither: the rule has no effect"
+            )
+    return list(dict.fromkeys(row.topics.format(rule.pattern) for rule, row in watched if row.topics))
 
 
 def tls(values: Mapping[str, Any]) -> TlsFiles:

@@ -281,8 +281,8 @@ def _of_a_trigger(rule: Trigger, option: str) -> list[ExpectedSource]:
     row = KINDS[rule.kind]
     if rule.pattern == row.pattern:
         return []
-    if row.is_topic:
-        return [ExpectedSource("topic", rule.pattern, option)]
+    if row.expected:
+        return [ExpectedSource("topic", row.expected.format(rule.pattern), option)]
     kind = _OF_TRIGGERS.get(row.matched)
     return [ExpectedSource(kind, rule.pattern, option, is_optional=kind == "stream")] if kind else []
 

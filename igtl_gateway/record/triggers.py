@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from igtl_gateway.base.errors import ConversionError, DamagedRecording, WireError
@@ -18,6 +18,7 @@ from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.untrusted.decoding import BadBytes, MessageDecoder
 from igtl_gateway.config.triggers import Trigger
 from igtl_gateway.convert.common_msgs import DiagnosticArray, OperatingState
+from igtl_gateway.convert.exchanges import ServiceEvent, action_of, goal_states
 from igtl_gateway.gateway import LINK_DOWN
 from igtl_gateway.gateway.acceptance import DEFAULT_ACCEPTANCE, Acceptance
 from igtl_gateway.gateway.expected import NO_SOURCE
@@ -45,6 +46,9 @@ LOSSES = frozenset(
 _OK = 1  # of a STATUS
 _ERROR = 2  # of a DiagnosticStatus
 _FAULT = "FAULT"
+_ABORTED = 6  # of a GoalStatus
+#: Of an event of get_result, behind its encapsulation: the id of the goal in the request.
+_GOAL = slice(48, 64)
 #: Conditions that are followed, and streams whose rules are known.
 _MOST = 10_000
 _STEP = re.compile(r"(\w+)((?:\[[0-9]{1,9}\])*)")
@@ -70,11 +74,15 @@ class Cause:
 
 @dataclass(frozen=True, slots=True)
 class _Readers:
-    """What decodes messages, of ROS and of OpenIGTLink, and takes a topic and why it has no value for a rule."""
+    """What decodes messages, of ROS and of OpenIGTLink, and takes a topic and why it has no value for a rule.
+
+    ``asked``: of requests for results, topic, client and number → id of the goal; the last ones.
+    """
 
     ros: MessageDecoder
     igtl: Acceptance
     on_no_value: Callable[[Trigger, str, str], None]
+    asked: dict[tuple[str, bytes, int], bytes] = field(default_factory=dict)
 
 
 class Triggers:
@@ -206,6 +214,27 @@ def _operating_state(rule: Trigger, entry: Entry, _read: _Readers) -> _Found:
     yield entry.channel, state == _FAULT, f"{entry.channel}: {state}"
 
 
+def _action_aborted(_rule: Trigger, entry: Entry, read: _Readers) -> _Found:
+    action, part = action_of(entry.channel) or ("", "")
+    states = goal_states(entry.data()) if part == "status" else _result_state(entry, read)
+    for goal, status in states:
+        name = goal.hex()
+        yield f"{action} {name}", status == _ABORTED, f"{action}: goal {name[:8]} was aborted"
+
+
+def _result_state(entry: Entry, read: _Readers) -> list[tuple[bytes, int]]:
+    """Return the goal of a response of get_result, and its status; nothing if the goal is not known."""
+    event = ServiceEvent.unpack(entry.data())
+    key = (entry.channel, event.client, event.number)
+    if event.has_request:
+        if len(read.asked) >= _MOST:
+            del read.asked[next(iter(read.asked))]
+        read.asked[key] = bytes(entry.data()[_GOAL])
+    elif event.response and (goal := read.asked.get(key)):
+        return [(goal, event.response[4])]
+    return []
+
+
 def _value(rule: Trigger, entry: Entry, read: _Readers) -> _Found:
     value = _number_at(read.ros.decode(entry.type, entry.data()), rule.field)
     if value is None or isinstance(value, str):
@@ -255,6 +284,12 @@ _CONCERNS: dict[str, Callable[[Trigger, Entry], bool]] = {
     "operating_state": lambda rule, entry: (
         entry.kind in _ROS and entry.type == OperatingState.TYPE and matches(rule.pattern, entry.channel)
     ),
+    "action_aborted": lambda rule, entry: (
+        entry.kind is Kind.ROS_IN
+        and (named := action_of(entry.channel)) is not None
+        and named[1] in ("status", "get_result")
+        and matches(rule.pattern, named[0])
+    ),
     "value": lambda rule, entry: entry.kind in _ROS and matches(rule.pattern, entry.channel),
     "mark": lambda _, entry: entry.kind is Kind.EDGE_NOTE,
     "note": lambda _, entry: entry.kind in _NOTES or entry.kind is Kind.LINK,
@@ -269,6 +304,7 @@ _LOOKS: dict[str, Callable[[Trigger, Entry, _Readers], _Found]] = {
     "diagnostics": _diagnostics,
     "status": _status,
     "operating_state": _operating_state,
+    "action_aborted": _action_aborted,
     "value": _value,
     "mark": _mark,
     "note": _any_note,
