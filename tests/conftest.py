@@ -113,7 +113,7 @@ SLOW = (
     "addons/view/test_stream.py",
     "addons/resim/test_page.py",
     "addons/resim/test_regressions.py",
-    "addons/resim/test_services.py",
+    "addons/resim/test_coordinator.py",
     "addons/resim/test_verb.py",
     "addons/zenoh/test_site.py",
     "edges/ros/test_distributions.py",

@@ -67,6 +67,9 @@ if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile.stream_rows import StreamRows as StreamRows
     from igtl_gateway.replay.moment import check_part as check_part
     from igtl_gateway.replay.moment import since_text as since_text
+    from igtl_gateway.replay.played_action import PlayedAction as PlayedAction
+    from igtl_gateway.replay.recorded_calls import RecordedService as RecordedService
+    from igtl_gateway.replay.recorded_calls import recorded_calls as recorded_calls
     from igtl_gateway.replay.recorded_config import config_to_run as config_to_run
     from igtl_gateway.replay.recorded_config import recorded_acceptance as recorded_acceptance
     from igtl_gateway.replay.recorded_config import recorded_units as recorded_units
@@ -120,6 +123,8 @@ HOMES: Homes = (
     ("replay.moment", "check_part since_text"),
     ("replay.recorded_marks", "carry_marks marked_moment marks_of"),
     ("record.sessionfile.seals", "stated_seals"),
+    ("replay.recorded_calls", "RecordedService recorded_calls"),
+    ("replay.played_action", "PlayedAction"),
     # Its entries as they were before, and through a gateway
     ("replay.source", "check_recorded through_gateway without_messages"),
     ("replay.state_before", "latched_before messages_before notes_before with_state"),
