@@ -86,6 +86,7 @@ SLOW = (
     "cli/test_slice.py",
     "integration/test_recording_faults.py",
     "integration/test_replay_ros.py",
+    "integration/test_calls.py",
     "integration/test_rosbag2_folder.py",
     "lab/simulate/test_star.py",
     "addons/view/test_shots.py",

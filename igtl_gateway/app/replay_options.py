@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.app import bridge_options
-from igtl_gateway.app.replay_settings import ABSENT_SIDES, PEERS, REPLAY, ROS, Side, To
+from igtl_gateway.app.replay_settings import ABSENT_SIDES, PEERS, REPLAY, ROS, Calls, Side, To
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.versions import Self
 from igtl_gateway.config.faults import CLOCK_STEP, Faults
@@ -43,6 +43,7 @@ class ReplayOptions:
     tls_connect: frozenset[Address]
     profile: str
     exact: bool
+    services: Calls
     start: str | None
     end: str | None
     duration: float | None

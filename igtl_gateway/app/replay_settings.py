@@ -18,6 +18,10 @@ To = Literal["igtl", "ros", "both"]
 Side = Literal["", "peers", "gateway", "both"]
 SIDES: tuple[Side, ...] = get_args(Side)
 
+#: What a replay to ROS does with recorded services and actions.
+Calls = Literal["answer", "call", "topics"]
+CALLS: tuple[Calls, ...] = get_args(Calls)
+
 #: How stamps in messages are sent; ``replay.restamp`` does it.
 MODES = ("keep", "now", "shift")
 #: Rate of /clock, in hertz of recorded time, as in ``ros2 bag play``.
@@ -99,6 +103,15 @@ _SELECTION = (
         "whose messages are sent: those of the gateway; those of the peers, for ROS of its nodes; or both",
         choices=SIDES,
         shown="gateway; peers if it sent only queries, answers and pings; both for ROS",
+        common=True,
+    ),
+    Setting(
+        "services",
+        "answer",
+        "recorded services and actions: answer requests and goals as recorded; call: send the recorded ones at their "
+        "times; topics: only publish their topics, as ros2 bag play does",
+        choices=CALLS,
+        needs=(ROS,),
         common=True,
     ),
     _of_a_bridge("to_igtl", "send", ()),

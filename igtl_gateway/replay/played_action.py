@@ -3,7 +3,7 @@
 A goal with a recorded content is accepted or rejected as that was; its states and feedback follow with their recorded
 times, counted from its request, those behind a cancellation from that.  A goal that was recorded as canceled waits for
 its client to cancel it.  What is not recorded is refused: a goal is rejected, a goal is not canceled; and a result that
-nobody asked for is not known.
+the recorded client did not ask for is not known.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class PlayedAction:
     """A server.  Times are UTC ns, and do not go back.
 
     Args:
-        action: what it has; used up, but for the last goal of a content if that may come ``again``.
+        action: what it has; used up, except the last goal of a content if that may come ``again``.
         again: whether it may.
         lasts: returns how long something lasts that lasted some ns in the recording.
 

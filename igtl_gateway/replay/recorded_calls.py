@@ -146,7 +146,7 @@ class RecordedService:
 
 @dataclass(frozen=True, slots=True)
 class GoalStep:
-    """What a server said of a goal.
+    """What a server published about a goal.
 
     Attributes:
         after_ns: time since the request of the goal.
