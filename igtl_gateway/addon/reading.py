@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from igtl_gateway.base.qos import Endpoint as Endpoint
     from igtl_gateway.base.qos import Qos as Qos
     from igtl_gateway.base.qos import incompatible as incompatible
-    from igtl_gateway.gateway.dialogue.clocks import ANSWERS as CLOCK_ANSWERS
-    from igtl_gateway.gateway.dialogue.clocks import QUESTIONS as CLOCK_QUESTIONS
+    from igtl_gateway.gateway.log.clock_offset import ANSWERS as CLOCK_ANSWERS
+    from igtl_gateway.gateway.log.clock_offset import QUESTIONS as CLOCK_QUESTIONS
     from igtl_gateway.gateway.log.entry import Entry as Entry
     from igtl_gateway.gateway.log.entry import Kind as Kind
     from igtl_gateway.gateway.log.groups import input_groups as input_groups
@@ -126,7 +126,7 @@ HOMES: Homes = (
     ("base.qos", "Endpoint Qos incompatible"),
     ("base.buffers", "Buffer join"),
     # What a session states: configuration, units, stamps, marks, seals
-    ("gateway.dialogue.clocks", "CLOCK_ANSWERS=ANSWERS CLOCK_QUESTIONS=QUESTIONS"),
+    ("gateway.log.clock_offset", "CLOCK_ANSWERS=ANSWERS CLOCK_QUESTIONS=QUESTIONS"),
     ("replay.recorded_clocks", "RecordedClocks"),
     ("replay.recorded_config", "config_to_run recorded_acceptance recorded_units"),
     ("replay.recorded_stamps", "RecordedStamps"),

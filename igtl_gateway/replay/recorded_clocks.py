@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from igtl_gateway.gateway import LINK_UP
-from igtl_gateway.gateway.dialogue.clocks import ANSWERS, QUESTIONS
-from igtl_gateway.gateway.log.clock_offset import Offset, PeerClocks
+from igtl_gateway.gateway.log.clock_offset import ANSWERS, QUESTIONS, Offset, PeerClocks
 from igtl_gateway.gateway.log.clocksteps import ClockStep
 from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.log.note import LINK_UP, Note
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.columns import Stream, Unfit
 from igtl_gateway.record.sessionfile.reader import SessionFile

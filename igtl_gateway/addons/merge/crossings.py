@@ -113,8 +113,7 @@ def with_questions(
         return []
     asked, stamps, answered = np.array(exchanges, np.int64).T
     here = np.isin(answered, np.concatenate(known))
-    # the ticks of a stamp are rounded down to less than a nanosecond
-    found = Crossing(questions, questions, asked[here], stamps[here] + 1, np.ones(int(here.sum()), np.bool_))
+    found = Crossing(questions, questions, asked[here], stamps[here], np.ones(int(here.sum()), np.bool_))
     return [found] if len(found.sent) else []
 
 

@@ -16,6 +16,8 @@ from typing import Any
 from igtl_gateway.base.globs import matches
 from igtl_gateway.base.quantities import offset_text
 from igtl_gateway.gateway.log.clock_offset import (
+    ANSWERS,
+    DEVICE,
     PEER_CLOCK,
     PEER_CLOCK_STEP,
     PEER_NO_CLOCK,
@@ -34,9 +36,6 @@ from igtl_gateway.wire import Message
 from igtl_gateway.wire.query import EmptyQuery
 from igtl_gateway.wire.text import Status
 
-DEVICE = "igtl_clock"
-#: Streams of questions and answers.
-QUESTIONS, ANSWERS = f"GET_STATUS/{DEVICE}", f"STATUS/{DEVICE}"
 #: Code of the note that has a peer asked, and its fact: whether a note reports what the answer shows.
 ASK_CLOCK, REPORT = "ask_clock", "report"
 

@@ -24,6 +24,9 @@ from igtl_gateway.base.quantities import duration_text
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.gateway.log.timing import rounded_to
 
+#: Device of the questions for a clock, and the streams of questions and answers.
+DEVICE = "igtl_clock"
+QUESTIONS, ANSWERS = f"GET_STATUS/{DEVICE}", f"STATUS/{DEVICE}"
 #: Codes of the notes about a peer's clock: its offset, that it or ours was set, that its stamps are no clock.
 PEER_CLOCK, PEER_CLOCK_STEP, PEER_NO_CLOCK = "peer_clock", "peer_clock_step", "peer_no_clock"
 #: All of them: they depend on earlier answers, and nothing else depends on these.

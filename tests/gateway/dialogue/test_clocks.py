@@ -8,7 +8,8 @@ from typing import Any
 
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.config.configuration import Config
-from igtl_gateway.gateway.dialogue.clocks import ANSWERS, DEVICE, QUESTIONS, ClockQuestions, ask_note
+from igtl_gateway.gateway.dialogue.clocks import ClockQuestions, ask_note
+from igtl_gateway.gateway.log.clock_offset import ANSWERS, DEVICE, QUESTIONS
 from igtl_gateway.gateway.log.clocksteps import ClockStep
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.fates import ASKED
