@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from igtl_gateway.base.qos import Qos as Qos
     from igtl_gateway.base.qos import incompatible as incompatible
     from igtl_gateway.gateway.log.clock_offset import ANSWERS as CLOCK_ANSWERS
+    from igtl_gateway.gateway.log.clock_offset import DEVICE as CLOCK_DEVICE
     from igtl_gateway.gateway.log.clock_offset import QUESTIONS as CLOCK_QUESTIONS
     from igtl_gateway.gateway.log.entry import Entry as Entry
     from igtl_gateway.gateway.log.entry import Kind as Kind
@@ -97,6 +98,7 @@ if TYPE_CHECKING:
 #: Names that are others there; the rest of the group is above.
 __all__ = [
     "CLOCK_ANSWERS",
+    "CLOCK_DEVICE",
     "CLOCK_QUESTIONS",
     "EntryStream",
     "file_identity",
@@ -126,7 +128,7 @@ HOMES: Homes = (
     ("base.qos", "Endpoint Qos incompatible"),
     ("base.buffers", "Buffer join"),
     # What a session states: configuration, units, stamps, marks, seals
-    ("gateway.log.clock_offset", "CLOCK_ANSWERS=ANSWERS CLOCK_QUESTIONS=QUESTIONS"),
+    ("gateway.log.clock_offset", "CLOCK_ANSWERS=ANSWERS CLOCK_DEVICE=DEVICE CLOCK_QUESTIONS=QUESTIONS"),
     ("replay.recorded_clocks", "RecordedClocks"),
     ("replay.recorded_config", "config_to_run recorded_acceptance recorded_units"),
     ("replay.recorded_stamps", "RecordedStamps"),
