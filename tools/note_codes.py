@@ -118,7 +118,7 @@ NOTES: dict[str, dict[str, str]] = {
         "ask_clock": "an input: the peer is asked for its clock, and answers with its time",
         "peer_clock": "how far the clock of a peer is ahead, with its error; after the first answer, and once a minute",
         "peer_clock_step": "the offset to the clock of a peer has changed: its clock or that of this host was set",
-        "peer_no_clock": "a peer's answers have stamps that do not change or contradict each other: no offset is known",
+        "peer_no_clock": "the offset of a peer's clock is not known: no answer, no stamp, or stamps that show no time",
         "halted": "the bridge was stopped or had no processor: what came is late by at most `late_ns`",
     },
     "ROS 2": {

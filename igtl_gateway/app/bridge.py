@@ -385,7 +385,7 @@ class Bridge:
         """Publish log and diagnostics, note silent streams, and return idle memory.  Runs in the timer's thread."""
         self._memory.look()
         now_ns = self._clock.monotonic_ns()
-        self._clocks.look([link.number for link in self.tcp.links() if link.connected], now_ns)
+        self._clocks.look({link.number: link.peer for link in self.tcp.links() if link.connected}, now_ns)
         self.awaited.look(now_ns)
         if self._passage:
             now_ns = self.hub.now_ns()

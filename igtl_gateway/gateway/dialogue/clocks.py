@@ -85,7 +85,10 @@ class ClockQuestions:
         if message.type != "STATUS":
             return None
         shown = self.clocks.answered(peer.link, entry.source_ns, entry.stamp_ns)
-        items = [_finding(entry, peer, shown)] if shown else []
+        items = [_finding(peer, shown)] if shown else []
+        if entry.source_ns <= 0:
+            text = f"{peer.address}: its answer to the question for its clock has no stamp"
+            items.append(_no_clock(peer, text, subject=DEVICE))
         if peer.link in self._reported:
             self._reported.remove(peer.link)
             items += self._known(entry, peer)
@@ -105,7 +108,8 @@ class ClockQuestions:
             globs: addresses of those that are asked; a peer that asks is asked, too: it knows the question.
         """
         peer = self._peers.get(link)
-        if peer is None or link in self._not_asked or self.clocks.waits(link):
+        # 3D Slicer shows itself by its first message, and crashes at a question
+        if peer is None or peer.held_until_ns or link in self._not_asked or self.clocks.waits(link):
             return False
         return link in self._asking or any(matches(glob, place) for glob in globs for place in peer.places)
 
@@ -120,7 +124,19 @@ class ClockQuestions:
         ]
 
 
-def _finding(entry: Entry, peer: Peer, shown: ClockStep | NoClock) -> Finding:
+def no_answer_note(address: str, text: str) -> Note:
+    """Return the note about a peer at an address that does not answer for a time."""
+    text = f"{address}: no answer for {text} to the question for its clock: expected a STATUS of the device {DEVICE}"
+    return Note(Level.WARN, PEER_NO_CLOCK, text, ANSWERS, {"peer": address})
+
+
+def _no_clock(peer: Peer, text: str, subject: str | None = None) -> Finding:
+    return Finding(
+        Level.WARN, PEER_NO_CLOCK, text, ANSWERS, (peer.link,), subject, peer.link, data={"peer": peer.address}
+    )
+
+
+def _finding(peer: Peer, shown: ClockStep | NoClock) -> Finding:
     if isinstance(shown, ClockStep):
         low, high = offset_text(shown.low_ns), offset_text(shown.high_ns)
         text = (
@@ -130,4 +146,4 @@ def _finding(entry: Entry, peer: Peer, shown: ClockStep | NoClock) -> Finding:
         return Finding(Level.WARN, PEER_CLOCK_STEP, text, ANSWERS, (peer.link,), data=facts)
     why = "do not change" if shown.stands else "contradict each other again and again"
     text = f"{peer.address}: the stamps of its answers {why}: the offset of its clock is not known"
-    return Finding(Level.WARN, PEER_NO_CLOCK, text, ANSWERS, (peer.link,), data={"peer": peer.address})
+    return _no_clock(peer, text)

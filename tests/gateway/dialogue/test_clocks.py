@@ -91,6 +91,13 @@ def test_who_is_asked() -> None:
     assert not questions.may_ask(link, ["**"])
 
 
+def test_a_peer_that_may_be_3d_slicer_is_not_asked_before_it_shows_itself() -> None:
+    asked = Asked(cautious=True)
+    assert not asked.questions.may_ask(asked.link, ["**"])
+    asked.gateway.advance(0.5)
+    assert asked.questions.may_ask(asked.link, ["**"])
+
+
 def test_a_peer_that_gets_no_question_is_not_asked_again() -> None:
     asked = Asked(deny_out=["GET_STATUS"])
     assert [note.code for note in asked.ask().notes()] == ["denied"]
@@ -100,8 +107,11 @@ def test_a_peer_that_gets_no_question_is_not_asked_again() -> None:
 def test_an_answer_to_nothing_and_an_unset_stamp_show_nothing() -> None:
     asked = Asked()
     assert not asked.answer().notes() and asked.questions.clocks.offset(asked.link, asked.gateway.now_ns) is None
-    asked.ask(report=True)
-    assert not asked.gateway.from_peer(Message("STATUS", DEVICE, Status(1), 0), asked.link).notes()
+    found = []
+    for _ in range(3):
+        asked.ask(report=True)
+        found += asked.gateway.from_peer(Message("STATUS", DEVICE, Status(1), 0), asked.link).notes()
+    assert [note.text for note in found] == ["10.0.0.7:5: its answer to the question for its clock has no stamp"]
     assert asked.questions.clocks.offset(asked.link, asked.gateway.now_ns) is None
 
 
