@@ -1,8 +1,10 @@
 """A service with introspection, an action and their clients in one foreign node: four calls, and three goals.
 
-They begin when all of their topics have a reader.  Printed: order and status of each goal.
+They begin when all of their topics have as many readers as the argument states (default: 1).  Printed: order and status
+of each goal.
 """
 
+import sys
 import threading
 import time
 from typing import Any
@@ -54,8 +56,9 @@ client = ActionClient(node, Fibonacci, "/fib", callback_group=group)
 executor = MultiThreadedExecutor(4)
 executor.add_node(node)
 threading.Thread(target=executor.spin, daemon=True).start()
-while not all(node.count_subscribers(topic) > topic.endswith("feedback") for topic in TOPICS):
-    time.sleep(0.01)  # the client reads the feedback itself
+readers = int(sys.argv[1]) if len(sys.argv) > 1 else 1
+while not all(node.count_subscribers(topic) >= readers + (topic != TOPICS[0]) for topic in TOPICS):
+    time.sleep(0.01)  # the client reads feedback and status itself
 caller.wait_for_service()
 client.wait_for_server()
 for number in range(4):

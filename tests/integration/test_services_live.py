@@ -41,7 +41,7 @@ def test_a_service_and_an_action_are_recorded(
     options: list[str], world: Program, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "out.mcap"
-    bridge = Bridge("--record", str(path), *options, listen=False)
+    bridge = Bridge("--record", str(path), *options)
     try:
         world.wait_until(lambda: "end" in world.lines, "end of the goals")
         wait_flushed(path, lambda found: Counter(topic for topic, _ in found)[EVENTS] == 16)
