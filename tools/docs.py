@@ -1082,6 +1082,11 @@ def topics() -> str:
                 ("`/tf`, `/tf_static`", "only for `--tf-out` and `[[tf_out]]`"),
                 (f"`~/{MARKS}`", "std_msgs/String: [marks](../how-to/marks.md)"),
                 ("topics of `--record-topics`, `--record-all`", "recorded, not sent"),
+                (
+                    "`SERVICE/_service_event`",
+                    "requests and responses, if introspection is on; recorded with `--record-all` or by name",
+                ),
+                ("`ACTION/_action/**`", "goals, feedback, results and states; likewise"),
             ),
         ),
         "## Services",

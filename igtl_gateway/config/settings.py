@@ -511,13 +511,20 @@ _RECORDING = (
     Setting(
         "record_topics",
         (),
-        "also record these ROS topics, in addition to the bridged ones; * matches one level, ** any number",
+        "also record these ROS topics, in addition to the bridged ones; * matches one level, ** any number; hidden "
+        "ones by a level with _, as /fib/_action/**",
         metavar="GLOB",
         needs=("record", ROS_GRAPH),
         common=True,
         words=True,
     ),
-    Setting("record_all", False, "also record all ROS topics", needs=("record", ROS_GRAPH), common=True),
+    Setting(
+        "record_all",
+        False,
+        "also record all ROS topics, services and actions",
+        needs=("record", ROS_GRAPH),
+        common=True,
+    ),
     Setting(
         "record_include",
         (),
