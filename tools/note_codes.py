@@ -13,6 +13,7 @@ NOTES: dict[str, dict[str, str]] = {
         "accept_failed": "the system does not accept connections, for example because of its limit of open files",
         "refused": "a connection was refused: `--allow` does not have its network, or there are too many clients",
         "tls_failed": "the TLS handshake failed",
+        "websocket_failed": "a peer broke a rule of WebSocket, or sent a message whose size is not that of its header",
         "idle": "a link was closed because it had no traffic for the time of `--idle-s`",
         "stalled": "a link was closed because a message stopped in the middle, or was too slow",
         "unreachable": "a link was closed because the peer no longer confirms what it is sent",

@@ -32,6 +32,7 @@ from igtl_gateway.base.quantities import duration_text
 from igtl_gateway.base.stamp import NS_PER_MS
 from igtl_gateway.base.systems.memory import IdleMemory
 from igtl_gateway.config.configuration import Config
+from igtl_gateway.config.notations import uses_websocket
 from igtl_gateway.edges.interface import RosSide
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.tcp import TcpEdge
@@ -123,6 +124,7 @@ class Bridge:
             limits=options.limits,
             allow=options.allow,
             tls=options.tls,
+            origins=options.origins,
             passage=passage,
             reserved=options.reserved,
             admission=admission,
@@ -245,11 +247,12 @@ class Bridge:
             (server,) = options.connect
             to = server in options.tls_connect
             for address in options.listen:
-                tls = address in options.tls_listen
-                self.addresses.append(self.tcp.relay(*address, server, tls=tls, tls_to=to))
+                tls, websocket = address in options.tls_listen, uses_websocket(address)
+                self.addresses.append(self.tcp.relay(*address, server, tls=tls, tls_to=to, websocket=websocket))
             return
         for address in options.listen:
-            self.addresses.append(self.tcp.listen(*address, tls=address in options.tls_listen))
+            tls, websocket = address in options.tls_listen, uses_websocket(address)
+            self.addresses.append(self.tcp.listen(*address, tls=tls, websocket=websocket))
         for address in options.connect:
             self.tcp.connect(*address, tls=address in options.tls_connect)
 

@@ -22,9 +22,11 @@ from igtl_gateway.config.notations import (
     cpus,
     file_mode,
     key_value,
+    listen_address,
     peer_address,
     retention,
     size_by_type,
+    uses_tls,
 )
 from igtl_gateway.config.settings import all_settings, check_needs
 from igtl_gateway.config.triggers import KINDS, Trigger, trigger
@@ -69,6 +71,7 @@ class BridgeOptions:
         limits: limits for each peer.
         tls: files for TLS.
         tls_listen, tls_connect: the addresses of ``listen`` and ``connect`` that use TLS.
+        origins: whose web pages may connect over WebSocket, beside those of this machine.
         node_name: name of the ROS node.
         recording: options of the recorder.
         upload: where closed recordings are copied to; "": nowhere.
@@ -92,6 +95,7 @@ class BridgeOptions:
     tls: TlsFiles = field(default_factory=TlsFiles)
     tls_listen: frozenset[Address] = frozenset()
     tls_connect: frozenset[Address] = frozenset()
+    origins: tuple[str, ...] = ()
     node_name: str = "igtl_gateway"
     recording: RecordOptions = field(default_factory=RecordOptions)
     upload: str = ""
@@ -164,6 +168,7 @@ def bridge_options(
         tls=tls(values),
         tls_listen=tls_listen,
         tls_connect=tls_connect,
+        origins=tuple(values["allow_origin"]),
         node_name=node_name,
         recording=how,
         upload=values.get("upload", ""),
@@ -210,8 +215,8 @@ def addresses(
 ) -> tuple[tuple[tuple[str, int], ...], tuple[tuple[str, int], ...]]:
     """Return (listen, connect) for checked strings or pairs, with the default server if there are none."""
     listen, connect = (
-        tuple(peer_address(place) if isinstance(place, str) else place for place in places)
-        for places in (listening, servers)
+        tuple(reads(place) if isinstance(place, str) else place for place in places)
+        for reads, places in ((listen_address, listening), (peer_address, servers))
     )
     return listen if listen or connect else ((DEFAULT_HOST, DEFAULT_PORT),), connect
 
@@ -252,8 +257,8 @@ def secured(
 ) -> tuple[frozenset[tuple[str, int]], frozenset[tuple[str, int]]]:
     """Return the addresses with TLS: (listening, servers).  Raises ConfigError for files without such an address.
 
-    A certificate turns TLS on for all listening addresses except those with ``tcp://``: a user who gives one must not
-    discover later that the traffic was not encrypted.
+    A certificate turns TLS on for all listening addresses except those with ``tcp://`` or ``ws://``: a user who gives
+    one must not discover later that the traffic was not encrypted.
     """
     ours = _with_tls(listen, values["tls"] or bool(values["tls_cert"]))
     servers = _with_tls(connect, values["tls"])
@@ -263,8 +268,7 @@ def secured(
 
 
 def _with_tls(places: Iterable[tuple[str, int]], usual: bool) -> frozenset[tuple[str, int]]:
-    schemes = [(place, getattr(place, "scheme", "")) for place in places]
-    return frozenset(place for place, scheme in schemes if scheme == "tls" or (usual and scheme != "tcp"))
+    return frozenset(place for place in places if uses_tls(place, usual))
 
 
 def _of_a_recording(values: Mapping[str, Any]) -> list[str]:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Literal, get_args
 
 from igtl_gateway.config.notations import STREAM
-from igtl_gateway.config.setting import CLIENTS, NONE, Setting, grouped
+from igtl_gateway.config.setting import BROWSERS, CLIENTS, NONE, Setting, grouped
 from igtl_gateway.config.settings import ABSENT, BY_SETTING, PROFILE_NAMES, TLS
 from igtl_gateway.convert.choices import AUTO
 
@@ -32,6 +32,7 @@ PEERS, ROS = "OpenIGTLink peers", "ROS"
 #: Such a need → what to report if it is not there.
 ABSENT_SIDES = {
     CLIENTS: ABSENT[CLIENTS],
+    BROWSERS: ABSENT[BROWSERS],
     PEERS: "found --to ros, expected --to igtl or --to both",
     ROS: "found --to igtl, expected --to ros or --to both",
 }
@@ -60,6 +61,7 @@ _FIRST = (
 _ADDRESSES = (
     *map(_of_a_bridge, ("listen", "connect")),
     _of_a_bridge("allow", needs=(PEERS, CLIENTS)),
+    _of_a_bridge("allow_origin", needs=(PEERS, BROWSERS)),
     *(replace(BY_SETTING[name], table=NONE, keyword=False, needs=(PEERS, *BY_SETTING[name].needs)) for name in TLS),
 )
 _FORMS = (

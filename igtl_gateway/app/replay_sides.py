@@ -25,6 +25,7 @@ from igtl_gateway.app.replay_plan import (
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.stamp import NS_PER_MS, ns_to_ticks
+from igtl_gateway.config.notations import uses_websocket
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway.edges.ros.host import NodeHost
@@ -148,10 +149,11 @@ def _open_igtl(
         allow=options.allow,
         when_full="block",
         tls=options.tls,
+        origins=options.allow_origin,
     )
     stack.callback(edge.stop)
     for address in options.listen:
-        host, port = edge.listen(*address, tls=address in options.tls_listen)
+        host, port = edge.listen(*address, tls=address in options.tls_listen, websocket=uses_websocket(address))
         tell(f"OpenIGTLink server on {host}:{port}")
     for address in options.connect:
         edge.connect(*address, tls=address in options.tls_connect)

@@ -28,6 +28,6 @@ NOTE_CODES = (
     "too_many_frames too_many_streams trajectory_not_drawn transform_status trigger trigger_incomplete "
     "trigger_saved truncated uint32_as_float64 unit_jump unknown_frame unknown_status unreachable "
     "unreadable_note upload_confirmed upload_differs upload_reached upload_waits video_changed video_drop "
-    "video_failed video_refused wire_error zenoh_connected zenoh_left zenoh_lost zenoh_no_router "
+    "video_failed video_refused websocket_failed wire_error zenoh_connected zenoh_left zenoh_lost zenoh_no_router "
     "zenoh_not_closed"
 ).split()

@@ -20,6 +20,7 @@ from igtl_gateway.base.near import did_you_mean, near_names, one_of
 from igtl_gateway.config import notations, triggers
 from igtl_gateway.config.setting import (
     ARMS,
+    BROWSERS,
     CLIENTS,
     GATEWAY,
     HOST,
@@ -43,6 +44,7 @@ ABSENT = {
     ROS_GRAPH: "found --no-ros or --relay, expected neither",
     CLIENTS: "found --connect without --listen, expected --listen",
     ARMS: "found no --profile crtk, expected it",
+    BROWSERS: "found no --listen ws://HOST:PORT or wss://HOST:PORT, expected one",
 }
 
 #: Settings of TLS.
@@ -97,6 +99,7 @@ def check_needs(values: Mapping[str, Any], names: Iterable[str], *, ros: bool) -
         ROS_GRAPH: ros,
         CLIENTS: bool(values["listen"] or values["relay"]) or not values["connect"],
         ARMS: bool(values["crtk"] or arms_of_profile(values["profile"])),
+        BROWSERS: any(map(notations.uses_websocket, values["listen"])),
     }
     check_effect(by_name(all_settings()), values, names, met, ABSENT)
 
@@ -155,10 +158,11 @@ _ADDRESSES = (
     Setting(
         "listen",
         (),
-        "listen for OpenIGTLink clients on this address; port 0 selects a free port",
+        "listen for OpenIGTLink clients on this address, with ws:// or wss:// (TLS) over WebSocket; port 0 selects a "
+        "free port",
         IGTL,
-        metavar="[tls://]HOST:PORT",
-        reads=notations.peer_address,
+        metavar="[tls://|ws://|wss://]HOST:PORT",
+        reads=notations.listen_address,
         shown=f"{notations.DEFAULT_HOST}:{notations.DEFAULT_PORT}, unless --connect is given",
         common=True,
     ),
@@ -199,7 +203,17 @@ _SECURITY = (
         metavar="HOST:PORT",
         reads=notations.address_glob,
     ),
-    Setting("tls", False, "use TLS at all addresses except those that begin with tcp://", IGTL),
+    Setting(
+        "allow_origin",
+        (),
+        "over WebSocket, accept web pages of this origin, such as https://viewer.clinic, '*' for all; those of "
+        "localhost are accepted",
+        IGTL,
+        metavar="ORIGIN",
+        reads=notations.origin,
+        needs=(BROWSERS,),
+    ),
+    Setting("tls", False, "use TLS at all addresses except those that begin with tcp:// or ws://", IGTL),
     Setting("tls_cert", "", "own certificate (PEM); turns TLS on for --listen", IGTL, metavar="FILE"),
     Setting(
         "tls_key",

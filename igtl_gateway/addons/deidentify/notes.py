@@ -28,7 +28,8 @@ from igtl_gateway.addons.deidentify.context import Context
 CODES = frozenset({
     TICK, LISTENED, ASK_CLOCK, SETTING, CLOCK_STEP, "halted",
     *"link_up link_down peer_profile connect_failed listen_failed accept_failed refused tls_failed idle".split(),
-    *"stalled unreachable rate_limited truncated too_large out_of_memory internal_error queue_drop queue_full".split(),
+    *"websocket_failed stalled unreachable rate_limited truncated too_large out_of_memory internal_error".split(),
+    *"queue_drop queue_full".split(),
     *"no_conversion no_interfaces callback_failed ros_subscribed ros_incompatible_qos ros_lost ros_slow".split(),
     *"ros_hold_overflow ros_unknown_type ros_refused ros_publish_failed ros_receive_failed ros_callback_failed".split(),
     *"ros_held_old ros_type_hash ros_bad_attachment ros_bad_token ros_call_refused".split(),
