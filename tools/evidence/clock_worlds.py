@@ -46,7 +46,7 @@ class World:
 
     def __post_init__(self) -> None:
         chance = self.chance
-        self.least_ns = [round(10 ** chance.uniform(4.7, 7)) for _ in range(2)]  # 50 us to 10 ms, there and back
+        self.least_ns = [round(10 ** chance.uniform(4.7, 6.7)) for _ in range(2)]  # 50 us to 5 ms, there and back
         self.jitter_ns = 10 ** chance.uniform(4.3, 6.3)
         self.stamp = STAMPS[chance.choice(list(STAMPS))]
         offset = chance.choice((0, 1_000, 3_600 * NS_PER_S, 10**18)) * chance.uniform(-1, 1)
@@ -167,14 +167,14 @@ def main() -> None:
         "the same between a planted step and its note": f"{sum(one.hidden for one in found):,}",
         "half width of the interval": f"median {bounds[len(bounds) // 2] / 1e6:.2f} ms, 95 % below "
         f"{bounds[len(bounds) * 95 // 100] / 1e6:.1f} ms",
-        "steps of 20 ms noticed": f"{sum(one < math.inf for one in steps)} of {len(steps)}, "
-        f"median {steps[len(steps) // 2]:.1f} s, latest {steps[-1]:.1f} s",
+        "steps of 20 ms noticed": f"{sum(one < math.inf for one in steps):,} of {len(steps):,}, "
+        f"median {steps[len(steps) // 2]:.1f} s, in 10 s {sum(one <= 10 for one in steps):,}",
         "steps that are not planted": f"{sum(one.false + one.no_clock for one in found)}",
         f"{options.long} peers for {options.hours} h: questions": f"{sum(one.judged for one in long) // 2:,}",
         "of these: steps that are not planted": f"{sum(one.false + one.no_clock for one in long)}",
         "of these: truth outside of the interval": f"{sum(one.outside for one in long)}",
     }
-    print(f"| {options.worlds} peers, of which {len(steps)} have a step of 20 ms | |\n|---|---|")
+    print(f"| {options.worlds:,} peers for 10 min, of which {len(steps):,} have a step of 20 ms | |\n|---|---|")
     for name, value in rows.items():
         print(f"| {name} | {value} |")
 
