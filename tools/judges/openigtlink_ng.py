@@ -49,6 +49,10 @@ PROGRAMS = Path(__file__).with_name("programs")
 #: Messages of a type that are drawn at a time.
 ROUND = 300
 SIZE = struct.Struct(">I")
+#: Bytes of a message in the data of tests.
+SHORT = 1_200
+#: Where its vectors are read; other directions are a language and what it does.
+HERE = "here"
 Schemas = dict[str, list[dict[str, Any]]]
 
 
@@ -227,6 +231,48 @@ def judge(codecs: Sequence[Codec], schemas: Schemas, count: int, seed: int, log:
     return tally.rows()
 
 
+def agreed(codecs: Sequence[Codec], schemas: Schemas, seed: int) -> Iterator[dict[str, str]]:
+    """For tests: a short message of each schema which all codecs write alike, and which is read alike here."""
+    for kind in sorted(schemas):
+        for number in range(100):
+            words = random_words(Random(f"{seed} {kind} {number}"), kind, schemas[kind], is_new=False)
+            data, *others = (codec.ask(b"e", [words.encode()])[0][1] for codec in codecs)
+            if all(other == data for other in others) and len(data) < SHORT and words_of(decode(data)) == words:
+                yield {"message": data.hex(), "words": words}
+                break
+
+
+#: Why a vector that it refuses is read here.
+READ_HERE = {
+    "content_bind_nametable_size_odd": "the C++ library does not pad its table of names: read here, and written again"
+}
+
+
+def vectors(folder: Path) -> list[Row]:
+    """Its own vectors: those of the C library's tests, and those that no reader may accept."""
+    corpus = folder / "spec" / "corpus"
+    fixtures = json.loads((corpus / "upstream-fixtures.json").read_text("utf-8"))["fixtures"]
+    good = [bytes.fromhex(one["wire_hex"]) for one in fixtures.values()]
+    equal = sum(join(encode(decode(data))) == data for data in good)
+    rows = [Row("vectors of the C library, read and written again", HERE, EXACT, equal)]
+    rows += [Row("vectors of the C library", HERE, FAILS, len(good) - equal)] * (equal < len(good))
+    index = json.loads((corpus / "negative" / "index.json").read_text("utf-8"))["entries"]
+    read = [name for name, one in index.items() if _is_read((corpus / "negative" / one["path"]).read_bytes())]
+    rows.append(Row("vectors that must be refused", HERE, EXACT, len(index) - len(read)))
+    for name in read:
+        result = DIFFERS if name in READ_HERE else FAILS
+        rows.append(Row("vectors that must be refused", HERE, result, 1, READ_HERE.get(name, name)))
+    return rows
+
+
+def _is_read(data: bytes) -> bool:
+    try:
+        decode(data)
+    except WireError:
+        return False
+    return True
+
+
 # -- programs ---------------------------------------------------------------------------------------------------------
 
 
@@ -279,25 +325,41 @@ def missing(folder: Path, python: Path) -> Iterator[str]:
     return (f"found no {path}, expected {what}" for path, what in wanted.items() if not path.is_file())
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def arguments(what: str) -> argparse.ArgumentParser:
+    """The options of every judge of openigtlink-ng."""
+    parser = argparse.ArgumentParser(description=what, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--program", type=Path, required=True, help="folder of openigtlink-ng, built")
     parser.add_argument("--python", type=Path, required=True, help="interpreter that imports oigtl and numpy")
-    parser.add_argument("--count", type=int, default=2_100, help="messages of a type, direction and codec")
+    return parser
+
+
+def schemas_of(folder: Path) -> Schemas:
+    """Type name → the fields of its content; without the parts of headers."""
+    found = {path.stem: json.loads(path.read_text("utf-8")) for path in (folder / "spec" / "schemas").glob("*.json")}
+    return {one["type_id"]: one["fields"] for name, one in found.items() if not name.startswith("framing_")}
+
+
+def version_of(folder: Path) -> str:
+    name = ["git", "-C", str(folder), "rev-parse", "--short", "HEAD"]
+    return subprocess.run(name, capture_output=True, text=True, check=True).stdout.strip()
+
+
+def main() -> int:
+    parser = arguments(__doc__)
+    parser.add_argument("--count", type=int, default=2_000, help="messages of a type, direction and codec")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(
         "--log", type=Path, default=Path("openigtlink-ng.log"), help="what is not explained, as JSON lines"
     )
+    parser.add_argument("--vectors", type=Path, help="write only a message of each type that all write alike")
     given = parser.parse_args()
     if lacking := list(missing(given.program, given.python)):
         raise SystemExit("\n".join(f"openigtlink_ng: {line}" for line in lacking))
-    schema_files = given.program / "spec" / "schemas"
-    found = {path.stem: json.loads(path.read_text("utf-8")) for path in schema_files.glob("*.json")}
-    schemas = {one["type_id"]: one["fields"] for name, one in found.items() if not name.startswith("framing_")}
+    schemas = str(given.program / "spec" / "schemas")
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        node = ["node", str(PROGRAMS / "ng_codec.mjs"), str(schema_files), str(given.program / "core-ts" / "dist")]
-        python = [str(given.python), str(PROGRAMS / "ng_codec.py"), str(schema_files)]
+        node = ["node", str(PROGRAMS / "ng_codec.mjs"), schemas, str(given.program / "core-ts" / "dist")]
+        python = [str(given.python), str(PROGRAMS / "ng_codec.py"), schemas]
         codecs = [
             Codec("Python", python, given.program, has_new=False),
             Codec("TypeScript", node, given.program, has_new=False),
@@ -305,10 +367,13 @@ def main() -> int:
         ]
         for codec in codecs:
             stack.callback(codec.close)
-        rows = judge(codecs, schemas, given.count, given.seed, given.log)
-    name = ["git", "-C", str(given.program), "rev-parse", "--short", "HEAD"]
-    version = subprocess.run(name, capture_output=True, text=True, check=True).stdout.strip()
-    return results.write("openigtlink-ng", "openigtlink-ng", version, "codecs in Python, TypeScript and C++", rows)
+        if given.vectors:
+            lines = map(json.dumps, agreed(codecs, schemas_of(given.program), given.seed))
+            given.vectors.write_text("".join(f"{line}\n" for line in lines), "utf-8")
+            return 0
+        rows = vectors(given.program) + judge(codecs, schemas_of(given.program), given.count, given.seed, given.log)
+    role = "codecs in Python, TypeScript and C++"
+    return results.write("openigtlink-ng", "openigtlink-ng", version_of(given.program), role, rows)
 
 
 if __name__ == "__main__":
