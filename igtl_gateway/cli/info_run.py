@@ -35,7 +35,7 @@ from igtl_gateway.record.sessionfile.index import recover_hint
 from igtl_gateway.record.sessionfile.reader import PartSummary, SessionFile
 from igtl_gateway.replay.content_figures import summary_of
 from igtl_gateway.replay.content_summary import ContentSummary, StreamSummary
-from igtl_gateway.replay.exchange_summary import ExchangeSummary, ends_text
+from igtl_gateway.replay.exchange_summary import ExchangeSummary, ends_text, exchange_count
 from igtl_gateway.replay.recorded_clocks import RecordedClocks
 from igtl_gateway.replay.recorded_config import peer_units
 from igtl_gateway.replay.recorded_marks import marks_of
@@ -47,6 +47,8 @@ _IGTL = frozenset({Kind.IGTL_IN.value, Kind.IGTL_OUT.value})
 _ROS = frozenset({Kind.ROS_IN.value, Kind.ROS_OUT.value})
 #: Shorter recordings have no rate by the hour, s.
 _LEAST_S, _HOUR_S = 10.0, 3600
+#: Messages of services and actions that are read for their calls and goals: some seconds.
+_MOST_EXCHANGES = 1_000_000
 _NOT_YET = "   unknown: the ledger is written when the recording ends"
 
 
@@ -67,7 +69,10 @@ def _run(options: argparse.Namespace, recording: Recording) -> int:
             summary["figures"] = {"entries_read": why is not None, "why": why or ""}
             summary["damaged_indexes"] = file.damaged_indexes()
             summary["skipped"] = [asdict(skipped) for skipped in file.skipped]
-            summary |= _exchanges(ExchangeSummary.of(file))
+            uncounted = 0 if options.full else exchange_count(file)
+            is_few = uncounted <= _MOST_EXCHANGES
+            summary |= _exchanges(ExchangeSummary.of(file) if is_few else ExchangeSummary())
+            summary["uncounted"] = 0 if is_few else uncounted
             if file.parts:
                 summary["parts"] = [_part(part) for part in file.parts]
                 summary["missing_parts"] = [list(each) for each in file.missing_parts]
@@ -336,6 +341,10 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
     _print_streams(streams)
     _print_exchanges("services", "calls", "service", summary["services"])
     _print_exchanges("actions", "goals", "action", summary["actions"])
+    if uncounted := summary.get("uncounted", 0):
+        print_line(
+            f"  services  {count_text(uncounted, 'message')} of services and actions: --full counts calls and goals"
+        )
     for title, lines in (
         ("links", [_line(stamp, note, start_ns) for stamp, kind, note in notes if kind is Kind.LINK]),
         ("clocks", [line for clock in summary["clocks"] for line in _clock(clock)]),

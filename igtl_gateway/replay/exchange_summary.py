@@ -153,6 +153,15 @@ class ActionSummary:
 
 
 @dataclass(slots=True)
+class _Place:
+    """Where the messages of a channel are counted: a service, a part of an action, or both."""
+
+    service: ServiceSummary | None = None
+    action: ActionSummary | None = None
+    part: str = ""
+
+
+@dataclass(slots=True)
 class ExchangeSummary:
     """The services and actions of a recording, by name; a service of an action is part of it.
 
@@ -161,6 +170,7 @@ class ExchangeSummary:
     """
 
     begin_ns: int = 0
+    _places: dict[tuple[str, str], _Place | None] = field(default_factory=dict)
     _services: dict[str, ServiceSummary] = field(default_factory=dict)
     _actions: dict[str, ActionSummary] = field(default_factory=dict)
 
@@ -174,24 +184,41 @@ class ExchangeSummary:
 
     def add(self, entry: Entry) -> None:
         """Take an entry; those of other channels do not count."""
-        if entry.kind not in layout.ROS_KINDS or entry.stamp_ns < self.begin_ns or not is_exchange(entry.channel):
+        key = entry.channel, entry.type
+        if key not in self._places:
+            self._places[key] = self._place(entry)
+        place = self._places[key]
+        if place is None or entry.stamp_ns < self.begin_ns:
             return
-        name, (action, part) = service_of(entry.channel), action_of(entry.channel) or ("", "")
-        of_service = ServiceSummary(name, entry.type.removesuffix("_Event"))
-        of_service = self._services.setdefault(name, of_service) if name else of_service
-        of_action = self._actions.setdefault(action, ActionSummary(action)) if action else ActionSummary("")
-        if (derived := DerivedType.of(entry.type)) and derived.kind == "action":
-            of_action.type = f"{derived.package}/action/{derived.name}"
         data = bytes(entry.data())
         try:
-            if name:
+            if place.service:
                 event = ServiceEvent.unpack(data)
-                _add_call(of_action, part, event, of_service.add(event))
-            else:
-                _add_message(of_action, part, data)
+                answered = place.service.add(event)
+                if place.action:
+                    _add_call(place.action, place.part, event, answered)
+            elif place.action:
+                _add_message(place.action, place.part, data)
         except ConversionError:
-            of_service.unreadable += 1
-            of_action.unreadable += 1
+            if place.service:
+                place.service.unreadable += 1
+            if place.action:
+                place.action.unreadable += 1
+
+    def _place(self, entry: Entry) -> _Place | None:
+        """Return where the messages of a channel are counted; None: nowhere."""
+        if entry.kind not in layout.ROS_KINDS or not is_exchange(entry.channel):
+            return None
+        place = _Place()
+        if name := service_of(entry.channel):
+            place.service = ServiceSummary(name, entry.type.removesuffix("_Event"))
+            place.service = self._services.setdefault(name, place.service)
+        if found := action_of(entry.channel):
+            action, place.part = found
+            place.action = self._actions.setdefault(action, ActionSummary(action))
+            if (derived := DerivedType.of(entry.type)) and derived.kind == "action":
+                place.action.type = f"{derived.package}/action/{derived.name}"
+        return place
 
     def passing(self, entries: Iterable[Entry]) -> Iterator[Entry]:
         """Yield the entries, and take them."""
@@ -226,12 +253,17 @@ def incomplete(found: ExchangeSummary) -> Iterator[str]:
             yield f"{each.get('service') or each['action']}: {', '.join(parts)}"
 
 
+def exchange_count(file: SessionFile) -> int:
+    """Return the number of messages of services and actions."""
+    return sum(channel.count for channel in file.channels if is_exchange(channel.topic))
+
+
 def exchange_entries(file: SessionFile) -> Iterator[Entry]:
     """Yield the entries of services and actions, in their order; nothing else is read.
 
     Raises as SessionFile.entries.
     """
-    if not any(channel.count and is_exchange(channel.topic) for channel in file.channels):
+    if not exchange_count(file):
         return
     try:
         found = file.columns(wanted=_is_exchange)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import struct
+from contextlib import suppress
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.exchanges import (
@@ -12,6 +15,7 @@ from igtl_gateway.convert.exchanges import (
     RESPONSE_RECEIVED,
     ServiceEvent,
     action_of,
+    feedback_goal,
     goal_states,
     service_of,
 )
@@ -69,3 +73,10 @@ def test_the_states_of_goals() -> None:
     for cut in (exchanges.states(given)[:-1], exchanges.HEAD, b"\0\1\0\0\xff\xff\xff\xff", b""):
         with pytest.raises(ConversionError, match=r"found .*, expected"):
             goal_states(cut)
+
+
+@given(st.binary(max_size=120), st.sampled_from([b"", exchanges.HEAD, b"\0\0\0\0"]))
+def test_any_bytes_are_read_or_refused(data: bytes, head: bytes) -> None:
+    for read in (ServiceEvent.unpack, goal_states, feedback_goal):
+        with suppress(ConversionError):
+            read(head + data)

@@ -17,8 +17,9 @@ from tests.integration.bridge import Bridge, Program
 from tests.integration.test_cli_bridge import wait_flushed
 
 WORLD = Path(__file__).with_name("services_world.py")
+RESULTS = "/fib/_action/get_result/_service_event"
 EVENTS, STATES, FEEDBACK = "/arm/enable/_service_event", "/fib/_action/status", "/fib/_action/feedback"
-NAMED = ["/arm/enable/_service_event", "/fib/_action/*", "/rosout"]
+NAMED = ["/arm/enable/_service_event", "/fib/_action/**", "/rosout"]
 
 pytestmark = [
     pytest.mark.slow,
@@ -44,7 +45,7 @@ def test_a_service_and_an_action_are_recorded(
     bridge = Bridge("--record", str(path), *options)
     try:
         world.wait_until(lambda: "end" in world.lines, "end of the goals")
-        wait_flushed(path, lambda found: Counter(topic for topic, _ in found)[EVENTS] == 16)
+        wait_flushed(path, lambda found: Counter(topic for topic, _ in found)[RESULTS] == 6)
         result = bridge.end()
     finally:
         bridge.close()
@@ -56,6 +57,7 @@ def test_a_service_and_an_action_are_recorded(
     assert counts[EVENTS] == 16 and counts[STATES] >= 9 and counts[FEEDBACK] >= 6
     assert ("/rosout" in counts) is (options[0] == "--record-topics")
     assert types[EVENTS] == "std_srvs/srv/SetBool_Event"
+    assert types[RESULTS] == "test_msgs/action/Fibonacci_GetResult_Event"
     assert types[FEEDBACK] == "test_msgs/action/Fibonacci_FeedbackMessage"
     assert main(["info", str(path), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)

@@ -85,7 +85,9 @@ def test_what_is_followed_at_once_is_bounded(tmp_path: Path, monkeypatch: pytest
     assert [action[key] for key in ("goals", "succeeded", "canceled", "aborted")] == [60, 20, 20, 20]
 
 
-def test_info_and_slice_say_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_and_slice_say_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     path, part = exchanges.write(tmp_path / "a.mcap"), tmp_path / "part.mcap"
     assert main(["info", str(path)]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -97,6 +99,13 @@ def test_info_and_slice_say_it(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert main(["info", str(path), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert (facts["services"][0]["unanswered"], facts["actions"][0]["aborted"]) == (1, 1)
+    with monkeypatch.context() as patch:
+        patch.setattr("igtl_gateway.cli.info_run._MOST_EXCHANGES", 62)
+        assert main(["info", str(path)]) == 0
+        line = "  services  63 messages of services and actions: --full counts calls and goals"
+        assert line in capsys.readouterr().out.splitlines()
+        assert main(["info", str(path), "--full", "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["services"][0]["calls"] == 4
     cut = ["slice", str(path), "-o", str(part), "--overwrite"]
     assert main([*cut, "--start", "0.001", "--end", "0.0215"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == (

@@ -11,7 +11,7 @@ import pytest
 from rosbags.typesys import get_types_from_msg
 
 from igtl_gateway.base.untrusted.decoding import MessageDecoder
-from igtl_gateway.base.untrusted.derived_types import DerivedType, as_message
+from igtl_gateway.base.untrusted.derived_types import DerivedType, as_message, messages_of
 from igtl_gateway.base.untrusted.dialects import RULE
 from igtl_gateway.record.sessionfile.schemas import RosTypes
 from tests import exchanges
@@ -31,6 +31,13 @@ OTHERS = [
 @table("ros_type", OTHERS)
 def test_other_types_are_not_derived(ros_type: str) -> None:
     assert DerivedType.of(ros_type) is None
+
+
+def test_a_definition_of_a_file_is_for_the_messages_of_its_topics() -> None:
+    assert messages_of("p/srv/S") == ["p/srv/S_Event"]
+    assert messages_of("p/action/A") == [f"p/action/A_{each}" for each in SUFFIXES["action"]]
+    for other in ("p/msg/M", "p/srv/S_Event", "p/action/A_FeedbackMessage", ""):
+        assert messages_of(other) == [other]
 
 
 #: What stands in a file where the definition of ``p/srv/S_Event`` is expected.
