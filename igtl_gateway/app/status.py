@@ -117,16 +117,17 @@ class BridgeStatus:
 
 
 def clock_of(gateway: Core, link: int, now_ns: int) -> dict[str, Any] | None:
-    """Return the offset of a peer's clock as JSON values, as ``Offset.to_dict``; None: nothing shows it.
+    """Return the offset of a peer's clock as JSON values; None: nothing shows it.
 
     Without answers there is a lower bound only, from the stamps of its streams: they are made before they arrive.
     """
     known = gateway.questions.clocks.offset(link, now_ns) if gateway.questions else None
     if known:
-        return known.to_dict() | {"text": str(known), "drift_text": known.drift_text}
+        return known.to_dict() | {"text": known.text}
     least = [one.timing.ahead_ns for (of_link, _), one in gateway.guard.items() if of_link == link and link]
     bounds = [ns for ns in least if ns is not None]
     if not bounds:
         return None
-    text = f"≥ {offset_text(max(bounds))}"
-    return {"method": "one-way", "low_ns": max(bounds), "high_ns": None, "text": text, "drift_text": ""}
+    unknown = dict.fromkeys(("high_ns", "drift_low_ppm", "drift_high_ppm", "answers", "age_s"))
+    text = f"clock ahead by ≥ {offset_text(max(bounds))}, by its stamps"
+    return {"method": "one-way", "low_ns": max(bounds), **unknown, "text": text}

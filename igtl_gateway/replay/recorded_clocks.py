@@ -43,6 +43,7 @@ class RecordedClocks:
         match entry.kind:
             case Kind.IGTL_OUT if entry.channel == QUESTIONS:
                 for link in entry.links:
+                    self._clocks.take_question(link)  # a peer is asked when it has answered: that answer was lost
                     self._clocks.asked(link, self._caused_ns or entry.stamp_ns)
             case Kind.IGTL_IN if entry.channel == ANSWERS:
                 self._answered(entry, entry.links[0])

@@ -39,6 +39,18 @@ def test_they_are_those_of_the_session(tmp_path: Path, capsys: pytest.CaptureFix
     assert "link 1 10.0.0.7:5: clock ahead by +5,000.501 ms ± 1.50 ms, by its answers, drift +0.0 ±" in shown
 
 
+def test_an_answer_that_was_lost_costs_no_other_one() -> None:
+    asked, found = Asked(), RecordedClocks()
+    for _ in range(5):
+        asked.exchange()
+    answers = [entry for entry in asked.gateway.log if entry.kind is Kind.IGTL_IN]
+    for entry in asked.gateway.log:
+        if entry is not answers[2]:
+            found.take(entry)
+    took = [answered_ns - asked_ns for asked_ns, _, answered_ns in found.exchanges]
+    assert len(took) == 4 and max(took) == NS_PER_MS
+
+
 def test_a_recording_without_questions_has_none() -> None:
     with SessionFile.open(FIXTURES / "star.mcap") as file:
         found = RecordedClocks.of(file)
