@@ -39,11 +39,12 @@ from igtl_gateway.wire import Item, Message, decode, encode
 from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway.wire.registry import BODIES
+from igtl_gateway.wire.transform import Transform
 from tests import strategies
 from tools.judges import results
 from tools.judges.ng_deviations import Case, explained
 from tools.judges.ng_values import random_words, words_of
-from tools.judges.results import DIFFERS, EXACT, FAILS, Row
+from tools.judges.results import CANNOT, DIFFERS, EXACT, FAILS, Row
 
 PROGRAMS = Path(__file__).with_name("programs")
 #: Messages of a type that are drawn at a time.
@@ -57,12 +58,21 @@ Schemas = dict[str, list[dict[str, Any]]]
 
 
 class Codec:
-    """A program that reads and writes."""
+    """A program that reads and writes.
 
-    def __init__(self, name: str, command: Sequence[str], folder: Path, *, has_new: bool) -> None:
-        self.name, self.has_new = name, has_new
+    Attributes:
+        row: of what it writes of header version 2: nothing, or a message that is read here.
+    """
+
+    def __init__(self, name: str, command: Sequence[str], folder: Path) -> None:
+        self.name = name
         # the one in Python looks for its schemas from where it is
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=folder)
+        message = Message("TRANSFORM", "Tool", Transform((1.0,) * 12), 5, 2, 7)
+        _, data, error = self.ask(b"e", [words_of(message).encode()])[0]
+        result = EXACT if data == join(encode(message)) else CANNOT if error else FAILS
+        text = "its envelopes have no extended header: what is around the content is kept" * (result == CANNOT)
+        self.row = Row("header version 2", f"{name} writes", result, 1, text)
 
     def ask(self, kind: bytes, payloads: Sequence[bytes]) -> list[tuple[str, bytes, str]]:
         """Words, bytes and error of each; all are sent before the first is awaited."""
@@ -168,7 +178,10 @@ def reads(codec: Codec, messages: Sequence[Message]) -> Iterator[Case]:
 
 def writes(codec: Codec, kind: str, schemas: Schemas, rng: Random, count: int) -> Iterator[Case]:
     """What is written there, read here."""
-    wanted = [random_words(rng, kind, schemas[kind], is_new=codec.has_new and rng.random() < 0.5) for _ in range(count)]
+    wanted = [
+        random_words(rng, kind, schemas[kind], is_new=codec.row.result == EXACT and rng.random() < 0.5)
+        for _ in range(count)
+    ]
     for words, (_, data, error) in zip(wanted, codec.ask(b"e", [one.encode() for one in wanted]), strict=True):
         case = Case(codec.name, False, kind, data, words, error=error)
         yield case if error else _read_here(case)
@@ -192,7 +205,7 @@ class Tally:
         self.exact: Counter[tuple[str, str]] = Counter()
         self.differs: Counter[tuple[str, str]] = Counter()
         self.unexplained: Counter[tuple[str, str]] = Counter()
-        self.log = log.open("w", encoding="utf-8")
+        self.log = log
 
     def add(self, case: Case) -> None:
         if case.is_equal:
@@ -203,7 +216,8 @@ class Tally:
             self.unexplained[case.type, case.direction] += 1
             if self.unexplained[case.type, case.direction] <= 20:
                 shown = {**vars(case), "data": case.data.hex(), "again": case.again.hex()}
-                print(json.dumps(shown), file=self.log, flush=True)
+                with self.log.open("a", encoding="utf-8") as file:
+                    print(json.dumps(shown), file=file)
 
     def rows(self) -> list[Row]:
         rows = [Row(what, direction, EXACT, cases) for (what, direction), cases in sorted(self.exact.items())]
@@ -314,23 +328,29 @@ def compiled(folder: Path, target: Path) -> Path:
     return program
 
 
-def missing(folder: Path, python: Path) -> Iterator[str]:
-    """What a person must build first."""
-    wanted = {
-        folder / "spec/schemas/transform.json": "a copy of openigtlink-ng",
-        folder / "core-ts/dist/codec.js": "core-ts, built (npm run build)",
-        folder / "core-cpp/build/liboigtl_ergo.a": "core-cpp, built with CMake in core-cpp/build",
-        python: "a Python that imports oigtl and numpy",
-    }
-    return (f"found no {path}, expected {what}" for path, what in wanted.items() if not path.is_file())
-
-
 def arguments(what: str) -> argparse.ArgumentParser:
     """The options of every judge of openigtlink-ng."""
     parser = argparse.ArgumentParser(description=what, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--program", type=Path, required=True, help="folder of openigtlink-ng, built")
     parser.add_argument("--python", type=Path, required=True, help="interpreter that imports oigtl and numpy")
     return parser
+
+
+#: What a person builds, in the folder → what it is.
+SCHEMAS = {"spec/schemas/transform.json": "a copy of openigtlink-ng"}
+TYPESCRIPT = {"core-ts/dist/codec.js": "core-ts, built (npm run build)"}
+CPP = {"core-cpp/build/liboigtl_ergo.a": "core-cpp, built with CMake in core-cpp/build"}
+
+
+def parsed(parser: argparse.ArgumentParser, wanted: dict[str, str]) -> argparse.Namespace:
+    """The options; ends with what is missing of openigtlink-ng."""
+    given = parser.parse_args()
+    paths = {given.program / path: what for path, what in wanted.items()}
+    paths[given.python] = "a Python that imports oigtl and numpy"
+    lacking = [f"found no {path}, expected {what}" for path, what in paths.items() if not path.is_file()]
+    if lacking:
+        raise SystemExit("\n".join(f"{parser.prog}: {line}" for line in lacking))
+    return given
 
 
 def schemas_of(folder: Path) -> Schemas:
@@ -352,18 +372,16 @@ def main() -> int:
         "--log", type=Path, default=Path("openigtlink-ng.log"), help="what is not explained, as JSON lines"
     )
     parser.add_argument("--vectors", type=Path, help="write only a message of each type that all write alike")
-    given = parser.parse_args()
-    if lacking := list(missing(given.program, given.python)):
-        raise SystemExit("\n".join(f"openigtlink_ng: {line}" for line in lacking))
+    given = parsed(parser, SCHEMAS | TYPESCRIPT | CPP)
     schemas = str(given.program / "spec" / "schemas")
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         node = ["node", str(PROGRAMS / "ng_codec.mjs"), schemas, str(given.program / "core-ts" / "dist")]
         python = [str(given.python), str(PROGRAMS / "ng_codec.py"), schemas]
         codecs = [
-            Codec("Python", python, given.program, has_new=False),
-            Codec("TypeScript", node, given.program, has_new=False),
-            Codec("C++", [str(compiled(given.program, folder))], given.program, has_new=True),
+            Codec("Python", python, given.program),
+            Codec("TypeScript", node, given.program),
+            Codec("C++", [str(compiled(given.program, folder))], given.program),
         ]
         for codec in codecs:
             stack.callback(codec.close)
@@ -371,7 +389,8 @@ def main() -> int:
             lines = map(json.dumps, agreed(codecs, schemas_of(given.program), given.seed))
             given.vectors.write_text("".join(f"{line}\n" for line in lines), "utf-8")
             return 0
-        rows = vectors(given.program) + judge(codecs, schemas_of(given.program), given.count, given.seed, given.log)
+        rows = [*vectors(given.program), *(codec.row for codec in codecs)]
+        rows += judge(codecs, schemas_of(given.program), given.count, given.seed, given.log)
     role = "codecs in Python, TypeScript and C++"
     return results.write("openigtlink-ng", "openigtlink-ng", version_of(given.program), role, rows)
 

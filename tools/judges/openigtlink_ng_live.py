@@ -39,7 +39,7 @@ from tests.integration.test_ros_types import (
 from tests.peers import only
 from tools.judges import results
 from tools.judges.ng_values import words_of
-from tools.judges.openigtlink_ng import PROGRAMS, arguments, schemas_of, version_of
+from tools.judges.openigtlink_ng import PROGRAMS, SCHEMAS, TYPESCRIPT, arguments, parsed, schemas_of, version_of
 from tools.judges.results import BOTH, CANNOT, DIFFERS, EXACT, FAILS, TO_IGTL, TO_ROS, Row
 
 RECORDED = "recorded, and verifies"
@@ -188,7 +188,7 @@ def _verified(recording: Path, *words: str) -> Row:
 
 
 def main() -> int:
-    given = arguments(__doc__.splitlines()[0]).parse_args()
+    given = parsed(arguments(__doc__), SCHEMAS | TYPESCRIPT)
     schemas = given.program / "spec" / "schemas"
     types = frozenset(schemas_of(given.program))
     commands = {

@@ -16,8 +16,8 @@ function decoded(data) {
 }
 
 function encoded(line) {
-  const { typeId, body, deviceName, timestamp } = made(ng, line);
-  return ng.packEnvelope({ header: { version: 1, typeId, deviceName, timestamp }, body });
+  const { body, ...header } = made(ng, line);
+  return ng.packEnvelope({ header, body });
 }
 
 function answer(kind, payload) {

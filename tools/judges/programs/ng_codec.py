@@ -53,9 +53,9 @@ def shown(envelope: Any, fields: dict[str, Any], around: Sequence[str] = ("i0", 
 
 
 def made(words: Sequence[str], fields: dict[str, Any]) -> tuple[Any, str, int]:
-    """The body, the device name and the stamp of a message of header version 1."""
-    version, kind, device, ticks, _, count, *rest = words
-    assert (version, count) == ("i1", "n0")
+    """The body, the device name and the stamp of a message without metadata."""
+    _, kind, device, ticks, _, count, *rest = words
+    assert count == "n0"
     name = bytes.fromhex(kind[1:]).decode()
     body = lookup_message_class(name)(**ng_words.read(fields[name], iter(rest)))
     return body, bytes.fromhex(device[1:]).decode(), int(ticks[1:])
@@ -63,7 +63,8 @@ def made(words: Sequence[str], fields: dict[str, Any]) -> tuple[Any, str, int]:
 
 def encoded(words: Sequence[str], fields: dict[str, Any]) -> bytes:
     body, device, ticks = made(words, fields)
-    header = Header(version=1, type_id=body.TYPE_ID, device_name=device, timestamp=ticks, body_size=0, crc=0)
+    version = int(words[0][1:])
+    header = Header(version=version, type_id=body.TYPE_ID, device_name=device, timestamp=ticks, body_size=0, crc=0)
     return bytes(pack_envelope(Envelope(header=header, body=body)))
 
 

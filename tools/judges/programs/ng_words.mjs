@@ -82,14 +82,14 @@ export function shown(ng, { header, body }, around = ["i0", "n0"]) {
   return words.join(" ");
 }
 
-// The body, the device name and the stamp of a message of header version 1.
+// The version, the body, the device name and the stamp of a message without metadata.
 export function made(ng, line) {
   const [version, kind, deviceWord, ticks, , count, ...rest] = line.split(" ");
-  if (version !== "i1" || count !== "n0") throw new Error("found another header");
+  if (count !== "n0") throw new Error("found metadata");
   const typeId = Buffer.from(kind.slice(1), "hex").toString("latin1");
   const words = rest.values();
   const values = Object.fromEntries(ng.fields.get(typeId).map((field) => [field.name, read(field, words)]));
   const body = new (ng.lookupMessageClass(typeId))(values);
   const deviceName = Buffer.from(deviceWord.slice(1), "hex").toString("latin1");
-  return { typeId, body, deviceName, timestamp: BigInt(ticks.slice(1)) };
+  return { version: Number(version.slice(1)), typeId, body, deviceName, timestamp: BigInt(ticks.slice(1)) };
 }
