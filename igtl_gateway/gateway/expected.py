@@ -20,7 +20,7 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.triggers import KINDS, Trigger
 from igtl_gateway.convert.arms import arms_of_profile
 from igtl_gateway.convert.crtk import namespaces
-from igtl_gateway.convert.exchanges import SERVICE_EVENT
+from igtl_gateway.convert.exchanges import IN_ACTION, SERVICE_EVENT
 from igtl_gateway.convert.frames import frame_id
 from igtl_gateway.convert.igtl_msgs import RawMessage
 from igtl_gateway.convert.table import row_to_igtl
@@ -301,11 +301,18 @@ def missing_sources(expected: Iterable[ExpectedSource], present: PresentSources)
             continue
         if source.kind == "peer" and _is_wild(source) and not present.connected:
             continue  # an address that only a connected peer has
-        near = nearest_name(source.name.strip(_WILD), names)
+        near = _hidden_name(source.name, names) or nearest_name(source.name.strip(_WILD), names)
         if source.is_optional and not near:
             continue
         found.append(MissingSource(source, _absence(source, present), near))
     return found
+
+
+def _hidden_name(name: str, names: Names) -> str:
+    """Return the topics of a service or an action that is named itself; ``""`` of other names."""
+    if (events := f"{name}{SERVICE_EVENT}") in names:
+        return events
+    return f"{name}{IN_ACTION}**" if any(each.startswith(f"{name}{IN_ACTION}") for each in names) else ""
 
 
 def _is_name_of(source: ExpectedSource, name: str) -> bool:

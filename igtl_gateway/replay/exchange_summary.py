@@ -44,6 +44,7 @@ _ENDS = (
     ("answered", "answered"),
     ("unanswered", "without response"),
     ("unasked", "without request"),
+    ("bare", "events without content"),
     *((each, each) for each in (*OUTCOMES.values(), _REJECTED)),
     ("open", "without result"),
 )
@@ -87,15 +88,18 @@ class ServiceSummary:
     Attributes:
         name, type: of the service.
         unreadable: messages that are not events.
+        bare: events without the content of a request or response, as introspection of metadata has them.
     """
 
     name: str
     type: str
     unreadable: int = 0
+    bare: int = 0
     _sides: tuple[_Side, _Side] = field(default_factory=lambda: (_Side(), _Side()))
 
     def add(self, event: ServiceEvent) -> bytes:
         """Count an event; see `_Side.add`."""
+        self.bare += not event.has_request and event.response is None
         return self._sides[event.kind in _OF_SERVER].add(event)
 
     def to_dict(self) -> dict[str, Any]:
@@ -108,6 +112,7 @@ class ServiceSummary:
             "answered": side.answered,
             "unanswered": side.calls - side.answered,
             "unasked": side.unasked,
+            "bare": self.bare,
             "unreadable": self.unreadable,
         }
 

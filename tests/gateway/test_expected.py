@@ -30,6 +30,12 @@ def test_a_service_without_events_has_its_reason() -> None:
     assert missing.text == f"topic /arm/enable/_service_event: {why} (--record-topics)"
 
 
+def test_the_name_of_a_service_or_an_action_leads_to_its_topics() -> None:
+    topics = ["/arm/enable/_service_event", "/fib/_action/status", "/fi"]
+    found = missing_sources(expected_sources(Config(), ["/arm/enable", "/fib"]), PresentSources(topics=topics))
+    assert [each.near for each in found] == ["/arm/enable/_service_event", "/fib/_action/**"]
+
+
 def test_each_name_is_expected_and_a_pattern_of_everything_is_not() -> None:
     found = [
         (each.kind, each.name, each.setting)

@@ -60,14 +60,14 @@ def test_each_side_is_counted_by_itself(tmp_path: Path) -> None:
     """They have other identifiers of the client; the server sees the calls of all clients."""
     client = [exchanges.event(kind, 0, 1, client=b"a") for kind in (0, 3)]
     server = [exchanges.event(kind, 0, number, client=b"b") for number in (1, 2) for kind in (1, 2)]
-    assert of_calls(tmp_path, *client, *server) == {"calls": 2, "answered": 2}
-    assert of_calls(tmp_path, *client) == {"calls": 1, "answered": 1}
+    assert of_calls(tmp_path, *client, *server) == {"calls": 2, "answered": 2, "bare": 6}
+    assert of_calls(tmp_path, *client) == {"calls": 1, "answered": 1, "bare": 2}
 
 
 def test_what_is_there_in_part_or_cannot_be_read(tmp_path: Path) -> None:
     events = [exchanges.event(3, 0, 1), exchanges.event(0, 0, 2), b"", exchanges.event(0, 0, 3)[:20]]
     events.append(exchanges.event(0, 0, 3)[:44] + b"\2" + bytes(11))  # two requests
-    expected = {"calls": 1, "unanswered": 1, "unasked": 1, "unreadable": 3}
+    expected = {"calls": 1, "unanswered": 1, "unasked": 1, "bare": 2, "unreadable": 3}
     assert of_calls(tmp_path, *events) == expected
 
 
@@ -76,6 +76,7 @@ def test_what_is_followed_at_once_is_bounded(tmp_path: Path, monkeypatch: pytest
     assert of_calls(tmp_path, *(exchanges.event(0, 0, number) for number in range(50))) == {
         "calls": 50,
         "unanswered": 50,
+        "bare": 50,
     }
     rows = [
         (order, "/fib/_action/status", "action_msgs/msg/GoalStatusArray", exchanges.states({order: 4 + order % 3}))
