@@ -53,7 +53,7 @@ from igtl_gateway.convert.commands import ERROR_MESSAGE, STATUS
 from igtl_gateway.convert.names import MAX_TOKEN, frames_of, short_device_name, topic_token
 from igtl_gateway.convert.profiles import CPP_FACTORY, PLUS_1, PROFILES, UNRECOGNISED, PeerProfile
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, ConversionToIgtl, ConversionToRos, Role
-from igtl_gateway.doctor import checks, host_checks, host_probe
+from igtl_gateway.doctor import checks, host_checks, host_probe, middleware
 from igtl_gateway.doctor.observer import MAX_STREAMS
 from igtl_gateway.doctor.protocols import PROTOCOLS
 from igtl_gateway.doctor.rules import RULES, Rule
@@ -922,6 +922,13 @@ def doctor() -> str:
         table(
             ("check", "subject", "expected", "how to get it"),
             [(f"`{row.id}`", row.title, row.expected, row.advice) for row in host_checks.HOST_CHECKS],
+        ),
+        prose(
+            """Known losses of the ROS middleware.  What the bridge publishes arrives with each of these versions."""
+        ),
+        table(
+            ("package", "versions", "what is lost", "source"),
+            [(f"`{row.package}`", row.versions_text, row.effect, row.source) for row in middleware.LOSSES],
         ),
         "## Limits",
         prose(
