@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import struct
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -86,16 +86,16 @@ def world(node: RosClient, *words: str, readers: int = 1) -> Iterator[World]:
         bridge.close()
 
 
-def judge(node: RosClient, *words: str, readers: int = 1) -> list[Row]:
-    """Every type both ways, then images of 6 MB and late joiners; arguments as for ``world``."""
-    with node, world(node, *words, readers=readers) as there:
-        rows = [_tried(row, there) for row in _early()]
-        rows += [_tried(row, there) for row in (*map(_in, CASES), *map(_out, OUTGOING), *_images(), *_late())]
-    return rows
-
-
 #: A row for the case that all is exact, and what compares; it returns how it differs, or "".
 Trial = tuple[Row, Callable[[World], str]]
+
+
+def judge(node: RosClient, *words: str, readers: int = 1, more: Sequence[Trial] = ()) -> list[Row]:
+    """Every type both ways, then images of 6 MB, late joiners, and what else is tried; arguments as for ``world``."""
+    with node, world(node, *words, readers=readers) as there:
+        rows = [_tried(row, there) for row in _early()]
+        rows += [_tried(row, there) for row in (*map(_in, CASES), *map(_out, OUTGOING), *_images(), *_late(), *more)]
+    return rows
 
 
 def _tried(trial: Trial, there: World) -> Row:
