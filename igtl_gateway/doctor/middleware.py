@@ -15,7 +15,7 @@ from pathlib import Path
 
 Version = tuple[int, ...]
 
-_VERSION = re.compile(r"<version>\s*(\d+\.\d+\.\d+)\s*</version>")
+_VERSION = re.compile(r"<version>\s*([0-9]{1,9}\.[0-9]{1,9}\.[0-9]{1,9})\s*</version>")
 
 
 @dataclass(frozen=True, slots=True)

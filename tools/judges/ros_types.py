@@ -90,12 +90,17 @@ def world(node: RosClient, *words: str, readers: int = 1) -> Iterator[World]:
 Trial = tuple[Row, Callable[[World], str]]
 
 
-def judge(node: RosClient, *words: str, readers: int = 1, more: Sequence[Trial] = ()) -> list[Row]:
-    """Every type both ways, then images of 6 MB, late joiners, and what else is tried; arguments as for ``world``."""
+def judge(
+    node: RosClient, *words: str, readers: int = 1, more: Sequence[Trial] = (), lost_first: str = LOST_FIRST
+) -> list[Row]:
+    """Every type both ways, then images of 6 MB, late joiners, and what else is tried; arguments as for ``world``.
+
+    Args:
+        lost_first: why the first large image may be lost.
+    """
+    trials = (*map(_in, CASES), *map(_out, OUTGOING), *_images(lost_first), *_late(), *more)
     with node, world(node, *words, readers=readers) as there:
-        rows = [_tried(row, there) for row in _early()]
-        rows += [_tried(row, there) for row in (*map(_in, CASES), *map(_out, OUTGOING), *_images(), *_late(), *more)]
-    return rows
+        return [_tried(row, there) for row in (*_early(), *trials)]
 
 
 def _tried(trial: Trial, there: World) -> Row:
@@ -137,7 +142,7 @@ def _large(topic: str) -> dict[str, str]:
     return {topic % quality.title().replace(" ", ""): IMAGE for quality in (BEST, SURE)}
 
 
-def _images() -> Iterator[Trial]:
+def _images(lost_first: str) -> Iterator[Trial]:
     pixels = hashlib.shake_256(b"pixels").digest(WIDTH * HEIGHT * 3)
     fields = {"header": head("Base"), "height": HEIGHT, "width": WIDTH, "encoding": "rgb8", "step": 3 * WIDTH}
     for quality in (SURE, BEST):
@@ -150,7 +155,7 @@ def _images() -> Iterator[Trial]:
             try:
                 there.ros.wait_until(lambda: there.ros.waiting(f"{IN}{device}/image") > 0, "image", PATIENCE_S)
             except AssertionError:
-                text = LOST_FIRST
+                text = lost_first
                 there.talker.send(content)
             assert there.ros.receive(f"{IN}{device}/image")["data"] == hexed(pixels), "other pixels"
             return text

@@ -14,7 +14,7 @@ and 7.1.6, Lyrical 10.0.10 with its rmw 7.10.1, rcl 10.4.4 and rmw_fastrtps 9.4.
 | type hashes, introspection of services, ``~/get_type_description`` | none | there | not used |
 | QoS, parameters, lifecycle, guard conditions, wait sets | as later | later ones add to them | what all have |
 | GID of an endpoint | 24 bytes | 16 bytes | only its first two are read |
-| messages with ``uint8[]`` | as all others | Lyrical: by a channel of their own if all subscribers know it | see below |
+| messages with ``uint8[]`` | as all others | Lyrical: a channel of their own if all subscribers know it | see below |
 | buffers outside the CPU, content filters, nodes of asyncio | none | Lyrical: options, off | not used |
 | what is called in rcl and rmw, ``rmw_message_info_t`` | equal | equal | ``direct``, ``graph_watch``, native passage |
 
