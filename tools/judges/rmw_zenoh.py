@@ -16,6 +16,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -111,8 +112,8 @@ def main() -> int:
         called = Row("service ~/send_command of the bridge, called by a node", TO_IGTL, EXACT), _service
         rows = ros_types.judge(node, *there, more=(called, seen(environ)), lost_first=DROPPED)
         rows.append(verified(recording))
-    version = f"{cpp.version_of(RMW, [prefix])}, rclpy {cpp.version_of('rclpy', [Path(sys.prefix)])}"
-    return results.write(options.name, RMW, version, "ROS 2 node", results.summed(rows))
+    program = f"{RMW} with rclpy {metadata.version('rclpy')}"
+    return results.write(options.name, program, cpp.version_of(RMW, [prefix]), "ROS 2 node", results.summed(rows))
 
 
 if __name__ == "__main__":
