@@ -25,7 +25,7 @@ class Loss:
     Attributes:
         package: of ROS.
         versions: ranges, each of the first and the last version with the loss.
-        source: the change that mends it.
+        source: the change that repairs it.
         effect: what is lost, in words.
     """
 
