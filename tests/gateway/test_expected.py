@@ -65,7 +65,7 @@ NAME_NO_SOURCE = frozenset(
     file_mode record_all custom_data outputs compression flush_interval fsync record_wait split_size split_duration
     seal retention on_record_failure video_codec video_bit_rate video_key_interval realtime_priority lock_memory
     cpu_affinity diagnostics watch metrics faults fault_seed upload upload_rate patience ros site site_budget
-    snapshot native no_native page page_address view""".split()
+    snapshot native no_native page page_address view allow_origin""".split()
 )
 ROW_FIELDS = {
     "to_igtl": ("device", "type", "metadata"),

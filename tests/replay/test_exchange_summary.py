@@ -8,11 +8,9 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.app.comparison import compare_recordings
 from igtl_gateway.cli import main
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay import exchange_summary
-from igtl_gateway.replay.compare import EXACT
 from igtl_gateway.replay.exchange_summary import ExchangeSummary, ends_text
 from tests import exchanges
 from tests.exchanges import MS, SERVICE_TYPE, Row
@@ -117,26 +115,6 @@ def test_info_and_slice_say_it(
     whole = [*cut, "--streams", "/arm/**", "--end", "0.0285"]
     assert main(whole) == 0
     assert "?" not in capsys.readouterr().out
-
-
-def test_two_runs_differ_in_what_they_say_and_not_in_the_names_of_goals(tmp_path: Path) -> None:
-    """Goals and clients have random identifiers; a message of another goal is a difference, also in one file only."""
-    rows = [*exchanges.calls(), *exchanges.goals()]
-    path = exchanges.write(tmp_path / "a.mcap", rows)
-
-    def named(data: bytes) -> bytes:
-        for order in exchanges.GOALS:
-            data = data.replace(exchanges.goal_id(order), exchanges.goal_id(order + 100))
-        return data.replace(b"me" + bytes(14), b"you" + bytes(13))
-
-    other = exchanges.write(tmp_path / "b.mcap", [(*row[:3], named(row[3])) for row in rows])
-    assert compare_recordings(path, other, (), EXACT).equal
-    at = next(at for at, row in enumerate(rows) if "feedback" in row[1] and exchanges.goal_id(9) in row[3])
-    wrong = rows[at][3].replace(exchanges.goal_id(9), exchanges.goal_id(3))
-    mixed = exchanges.write(tmp_path / "c.mcap", [*rows[:at], (*rows[at][:3], wrong), *rows[at + 1 :]])
-    for one in (path, other):
-        (differing,) = (each for each in compare_recordings(one, mixed, (), EXACT).streams if not each.equal)
-        assert differing.first and (differing.first.delta.field, differing.first.delta.one) == ("goal_id", "goal 2")
 
 
 def test_nothing_of_other_recordings_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
