@@ -6,9 +6,16 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+from igtl_gateway.wire import decode
+from igtl_gateway.wire.registry import describe_content
 from tests.integration.bridge import RosClient
+from tests.integration.test_ros_types import packed
+from tests.peers import only
 from tools.judges import cisst, plus, rclcpp
+from tools.judges.foreign import SENT
+from tools.judges.foreign_peers import CODECS
 from tools.judges.page import page
+from tools.judges.peers import HEAD_BYTES
 from tools.judges.results import DIFFERS, EXACT, FAILS, TO_IGTL, TO_ROS, Row, summed, write
 
 
@@ -83,3 +90,19 @@ class Reports(RosClient):
 
 def test_the_judge_of_rclcpp_waits_for_the_last_image() -> None:
     assert [row.result for row in rclcpp._between(Reports())] == [EXACT]
+
+
+def test_the_words_of_a_content_for_a_foreign_peer_are_that_content() -> None:
+    seen = set()
+    for case in SENT:
+        if case.type not in CODECS or case.type == "POINT":  # of which programs show the position only
+            continue
+        content = describe_content(decode(packed(case.type, case.device, case.content)).content)
+        content["data_hex"] = case.content[HEAD_BYTES:].hex()
+        write_words, read_words = CODECS[case.type]
+        words = write_words(content)
+        assert not any(set(word) & set(" \n") or not word for word in words)
+        found = read_words(words)
+        assert only(content, found) == found and found
+        seen.add(case.type)
+    assert seen == {"TRANSFORM", "POSITION", "STRING", "STATUS", "IMAGE", "TDATA", "CAPABILITY"}

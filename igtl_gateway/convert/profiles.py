@@ -18,7 +18,14 @@ from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.geometry import flip_lps_ras
 from igtl_gateway.convert.plus_signs import frame_of_picture, is_any_plus, is_recent_plus
-from igtl_gateway.convert.substitutes import FOR_SLICER, SLICER_ASKS, SLICER_READS, Substitute, by_type
+from igtl_gateway.convert.substitutes import (
+    FOR_OPENIGTLINK4J,
+    FOR_SLICER,
+    SLICER_ASKS,
+    SLICER_READS,
+    Substitute,
+    by_type,
+)
 from igtl_gateway.wire import Message, Raw
 from igtl_gateway.wire.fields import decode_text
 from igtl_gateway.wire.image import RAS, Image
@@ -404,7 +411,13 @@ PROFILES: tuple[PeerProfile, ...] = (
         facts=(
             ("writes milliseconds in place of the fraction of a second", "OpenIGTLink4J 4cbcb31, reproduced"),
             ("writes the interval of every STT_ as i64, milliseconds", "OpenIGTLink4J 4cbcb31, reproduced"),
+            ("its reader ends at a quaternion (POSITION, QTDATA), and at NDARRAY", "OpenIGTLink4J 4cbcb31, reproduced"),
+            ("its reader ends at metadata in UTF-8 (header version 2)", "OpenIGTLink4J 4cbcb31, reproduced"),
+            ("skips types that it does not know", "OpenIGTLink4J 4cbcb31, reproduced"),
         ),
+        max_version=1,
+        reads=frozenset(BODIES) - {"POSITION", "QTRANS", "QTDATA", "NDARRAY"},
+        instead=by_type(FOR_OPENIGTLINK4J),
         shows=_is_openigtlink4j,
         milliseconds=True,
     ),

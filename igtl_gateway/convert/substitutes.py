@@ -153,6 +153,13 @@ FOR_SLICER: tuple[Substitute, ...] = (
     Substitute(("*",), "", "it has no device for this type"),
 )
 
+#: What OpenIGTLink4J gets of the types whose text form ends its reader.
+FOR_OPENIGTLINK4J: tuple[Substitute, ...] = (
+    Substitute(("POSITION", "QTRANS"), "TRANSFORM", "its reader ends at a POSITION", _pose),
+    Substitute(("QTDATA",), "TRANSFORM of each tool", "its reader ends at a quaternion", _tools),
+    Substitute(("NDARRAY",), "", "its reader ends at an NDARRAY"),
+)
+
 
 def by_type(rows: Iterable[Substitute]) -> Mapping[str, Substitute]:
     """Return type → row."""

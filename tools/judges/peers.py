@@ -12,11 +12,12 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
@@ -83,13 +84,15 @@ class Place:
 
 
 @contextmanager
-def world(peer: Any, is_server: bool) -> Iterator[Place]:
-    """The bridge between a rclpy node and the peer."""
+def world(
+    peer: Any, is_server: bool, *options: str, subscribed: Mapping[str, str] = MappingProxyType({})
+) -> Iterator[Place]:
+    """The bridge, with further options, between a rclpy node, with further subscriptions, and the peer."""
     with ExitStack() as stack:
-        node = stack.enter_context(RosClient("judge", subscribe=SUBSCRIBED, advertise=ADVERTISED))
+        node = stack.enter_context(RosClient("judge", subscribe=SUBSCRIBED | dict(subscribed), advertise=ADVERTISED))
         server = stack.enter_context(peer.server()) if is_server else None
         words = ["--connect", f"127.0.0.1:{server.port}"] if server else []
-        bridge = Bridge("--no-cautious", *rows_of_the_command_line(), *words)
+        bridge = Bridge("--no-cautious", *rows_of_the_command_line(), *words, *options)
         stack.callback(bridge.close)
         stack.callback(bridge.end)
         other = server or stack.enter_context(peer.client("127.0.0.1", bridge.port))

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
-from igtl_gateway.config.configuration import Config, PeerRow
-from igtl_gateway.convert.rosmsg import TransformStamped
+from igtl_gateway.config.configuration import Config, PeerRow, ToIgtlRow
+from igtl_gateway.convert.common_msgs import PoseStamped
+from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.gateway.session import Session, make_core
@@ -151,6 +152,12 @@ def test_its_interval_shows_openigtlink4j(message: Message, shows: bool) -> None
     made.igtl(stamped(7))
     assert stamp_of(made) == SECONDS * NS_PER_S + (7 * NS_PER_MS if shows else 3)
     assert verify(made.log, LIVE).good
+
+
+def test_it_gets_a_transform_in_place_of_a_position_which_ends_its_reader() -> None:
+    made = script(replace(NAMED, to_igtl=(ToIgtlRow(topic="/pose", device="Tool", type="POSITION"),)))
+    lines = made.ros("/pose", PoseStamped(Header(T0_NS, "base"), (0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0)))
+    assert "igtl TRANSFORM/Tool v1 to 1" in lines and not any("POSITION" in line for line in lines)
 
 
 def test_a_replay_at_another_time_moves_the_stamp_that_was_meant() -> None:
