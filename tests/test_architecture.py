@@ -133,7 +133,13 @@ HOMES: dict[str, tuple[str, ...]] = {
     ),  # a measurement has a peer that costs nothing, and a port for any bridge
     "socketserver": (),
     "ssl": ("edges.tcp.tls",),
-    "http": ("edges.tcp.http_server", "addons.upload.s3", "addons.page.server", "addons.page.source"),
+    "http": (
+        "edges.tcp.http_server",
+        "edges.tcp.websocket",
+        "addons.upload.s3",
+        "addons.page.server",
+        "addons.page.source",
+    ),
     "rclpy": ("edges.ros.middleware",),
     # Time and chance: the core is a pure function of its inputs
     "time": ("base.clock",),
@@ -185,6 +191,7 @@ HOMES: dict[str, tuple[str, ...]] = {
         "lab",
     ),
     "pytest": ("testing.plugin",),
+    "wsproto": ("edges.tcp.websocket",),
     "rerun": ("addons.view",),
     **dict.fromkeys(GENERATORS, ("edges.ros_interfaces.build",)),
     "rosbags": (

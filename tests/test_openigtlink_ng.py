@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -20,8 +21,9 @@ from igtl_gateway.wire.registry import BODIES
 from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.transform import Transform
 from igtl_gateway.wire.video import Video
-from tests.tables import table
-from tools.judges.ng_deviations import DEVIATIONS, Case, content_of, explained
+from tests.places import ROOT
+from tests.tables import all_hold, table
+from tools.judges.ng_deviations import DEVIATIONS, LACKED, Case, content_of, explained
 from tools.judges.ng_values import OURS, random_words, words_of
 from tools.judges.openigtlink_ng import cpp_headers, seven_bits, with_signals
 from tools.judges.programs.ng_words import read, written
@@ -171,3 +173,16 @@ def test_the_fields_of_a_structure_in_cpp(tmp_path: Path) -> None:
     assert "(V& visit, oigtl::messages::Tdata& m) { (void)visit; (void)m; visit(m.count); visit(m.tools); }" in text
     assert "oigtl::messages::Tdata::Tool& m) { (void)visit; (void)m; visit(m.name); visit(m.transform); }" in text
     assert "#define MESSAGES(each) each(Tdata)\n" in text and "register_all" not in text
+
+
+def test_what_all_of_its_codecs_write_alike_is_read_here() -> None:
+    lines = [json.loads(line) for line in (ROOT / "tests/data/openigtlink-ng.jsonl").read_text("utf-8").splitlines()]
+    assert {decode(bytes.fromhex(line["message"])).type for line in lines} == BODIES.keys() - LACKED
+
+    def check(line: dict[str, str]) -> None:
+        data = bytes.fromhex(line["message"])
+        message = decode(data)
+        assert words_of(message) == line["words"]
+        assert join(encode(message)) == data
+
+    all_hold({line["message"][4:28]: line for line in lines}, check)

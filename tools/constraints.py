@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 from tools import core
 
 #: The extras that users install; ``dev`` is for developers, and ``lab`` is a distribution of the same release.
-EXTRAS = "ros,view,video,nifti,plot,pcap,hdf5,arrow,pandas,lerobot,seal,cohort,zenoh"
+EXTRAS = "ros,view,video,nifti,plot,pcap,hdf5,arrow,pandas,lerobot,seal,cohort,zenoh,websocket"
 PROJECT = Requirement(f"igtl-gateway[{EXTRAS},lab,dev]")
 CONSTRAINTS = Path(__file__).parent.parent / "constraints.txt"
 HEADER = f"""\

@@ -53,7 +53,7 @@ from igtl_gateway.convert.commands import ERROR_MESSAGE, STATUS
 from igtl_gateway.convert.names import MAX_TOKEN, frames_of, short_device_name, topic_token
 from igtl_gateway.convert.profiles import CPP_FACTORY, PLUS_1, PROFILES, UNRECOGNISED, PeerProfile
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, ConversionToIgtl, ConversionToRos, Role
-from igtl_gateway.doctor import checks, host_checks, host_probe
+from igtl_gateway.doctor import checks, host_checks, host_probe, middleware
 from igtl_gateway.doctor.observer import MAX_STREAMS
 from igtl_gateway.doctor.protocols import PROTOCOLS
 from igtl_gateway.doctor.rules import RULES, Rule
@@ -926,6 +926,13 @@ def doctor() -> str:
             ("check", "subject", "expected", "how to get it"),
             [(f"`{row.id}`", row.title, row.expected, row.advice) for row in host_checks.HOST_CHECKS],
         ),
+        prose(
+            """Known losses of the ROS middleware.  What the bridge publishes arrives with each of these versions."""
+        ),
+        table(
+            ("package", "versions", "what is lost", "source"),
+            [(f"`{row.package}`", row.versions_text, row.effect, row.source) for row in middleware.LOSSES],
+        ),
         "## Limits",
         prose(
             f"""At most {MAX_STREAMS:,} streams and {MAX_STREAMS:,} links are checked.  `doctor` decodes every
@@ -1085,6 +1092,11 @@ def topics() -> str:
                 ("`/tf`, `/tf_static`", "only for `--tf-out` and `[[tf_out]]`"),
                 (f"`~/{MARKS}`", "std_msgs/String: [marks](../how-to/marks.md)"),
                 ("topics of `--record-topics`, `--record-all`", "recorded, not sent"),
+                (
+                    "`SERVICE/_service_event`",
+                    "requests and responses, if introspection is on; recorded with `--record-all` or by name",
+                ),
+                ("`ACTION/_action/**`", "goals, feedback, results and states; likewise"),
             ),
         ),
         "## Services",

@@ -13,6 +13,7 @@ NOTES: dict[str, dict[str, str]] = {
         "accept_failed": "the system does not accept connections, for example because of its limit of open files",
         "refused": "a connection was refused: `--allow` does not have its network, or there are too many clients",
         "tls_failed": "the TLS handshake failed",
+        "websocket_failed": "a peer broke a rule of WebSocket, or sent a message whose size is not that of its header",
         "idle": "a link was closed because it had no traffic for the time of `--idle-s`",
         "stalled": "a link was closed because a message stopped in the middle, or was too slow",
         "unreachable": "a link was closed because the peer no longer confirms what it is sent",
@@ -115,6 +116,10 @@ NOTES: dict[str, dict[str, str]] = {
         "stream_silent": "a periodic stream of an open link, or of ROS, has had no message for 5 s",
         "stream_back": "it has messages again, and how long it had none",
         "clock_step": "the clock of this host was set",
+        "ask_clock": "an input: the peer is asked for its clock, and answers with its time",
+        "peer_clock": "how far the clock of a peer is ahead, with its error; after the first answer, and once a minute",
+        "peer_clock_step": "the offset to the clock of a peer has changed: its clock or that of this host was set",
+        "peer_no_clock": "the offset of a peer's clock is not known: no answer, no stamp, or stamps that show no time",
         "halted": "the bridge was stopped or had no processor: what came is late by at most `late_ns`",
     },
     "ROS 2": {

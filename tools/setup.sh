@@ -2,7 +2,7 @@
 # Installs what is missing, and nothing when nothing is.
 #
 #   tools/setup.sh venv     .venv with the package, its extras and the pins of constraints.txt, and in it the ROS
-#                           message packages that no wheel brings, compiled; EXTRAS=view,video,nifti,plot,pcap,hdf5,arrow,pandas,lerobot,seal,cohort,zenoh,lab,dev leaves ROS out
+#                           message packages that no wheel brings, compiled; EXTRAS=view,video,nifti,plot,pcap,hdf5,arrow,pandas,lerobot,seal,cohort,zenoh,websocket,lab,dev leaves ROS out
 #   tools/setup.sh peers    what the C++ reference peer of the tests is built with
 #   tools/setup.sh pictures what the viewer needs to draw pictures on a machine without graphics card
 #   tools/setup.sh mri      the MR head Colin27 for the scenarios lego and brain, out of a package of Debian, which is
@@ -89,7 +89,7 @@ install() {
 }
 
 setup_venv() {
-    local extras=${EXTRAS:-ros,view,video,nifti,plot,pcap,hdf5,arrow,pandas,lerobot,seal,cohort,zenoh,lab,dev} attempt
+    local extras=${EXTRAS:-ros,view,video,nifti,plot,pcap,hdf5,arrow,pandas,lerobot,seal,cohort,zenoh,websocket,lab,dev} attempt
     if [ -n "${AMENT_PREFIX_PATH:-}" ]; then
         # The wheels and a sourced ROS 2 do not go together in one environment.
         say "A ROS 2 environment is sourced: its rclpy is used, the ROS wheels are not installed."

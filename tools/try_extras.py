@@ -103,6 +103,7 @@ CALLS = (
     Call("doctor --listen :0 --ros --seconds 0.1", "ros", ends=False),
     Call("bridge --ros zenoh --duration 0.1 --listen :0", "zenoh", ends=False),
     Call("zenoh-router --listen tcp/127.0.0.1:0", "zenoh", ends=False),
+    Call("bridge --no-ros --duration 0.1 --listen ws://:0", "websocket"),
     Call("seal keys new recorder.key", "seal"),
     Call("keys show recorder.key", "seal"),
     Call("seal small.mcap --key recorder.key -o sealed.mcap", "seal"),

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from igtl_gateway.convert.exchanges import SERVICE_EVENT as SERVICE_EVENT
     from igtl_gateway.convert.exchanges import ServiceEvent as ServiceEvent
     from igtl_gateway.convert.exchanges import action_of as action_of
+    from igtl_gateway.convert.exchanges import feedback_goal as feedback_goal
     from igtl_gateway.convert.exchanges import goal_states as goal_states
     from igtl_gateway.convert.exchanges import service_of as service_of
     from igtl_gateway.convert.frames import frame_id as frame_id
@@ -110,7 +111,8 @@ HOMES: Homes = (
     # Services and actions as topics
     (
         "convert.exchanges",
-        "ACTION_SERVICES ACTION_TOPICS IN_ACTION OUTCOMES SERVICE_EVENT ServiceEvent action_of goal_states service_of",
+        "ACTION_SERVICES ACTION_TOPICS IN_ACTION OUTCOMES SERVICE_EVENT ServiceEvent action_of feedback_goal "
+        "goal_states service_of",
     ),
     # Units and rotations
     ("convert.scaling", "into_ros"),

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from igtl_gateway.gateway import PARTNER as PARTNER
     from igtl_gateway.gateway import TICK as TICK
     from igtl_gateway.gateway.diagnostics import HARMLESS as HARMLESS
+    from igtl_gateway.gateway.dialogue.clocks import ASK_CLOCK as ASK_CLOCK
+    from igtl_gateway.gateway.dialogue.clocks import REPORT as REPORT_CLOCK
     from igtl_gateway.gateway.log.changes import SETTING as SETTING
     from igtl_gateway.gateway.log.changes import SETTINGS as SETTINGS
     from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP as CLOCK_STEP
@@ -27,9 +29,13 @@ if TYPE_CHECKING:
     from igtl_gateway.record.reports import RESUMED as RESUMED
     from igtl_gateway.record.triggers import LOSSES as LOSSES
 
+#: Names that are others there; the rest of the group is above.
+__all__ = ["REPORT_CLOCK"]
+
 HOMES: Homes = (
     # Links and turns of the gateway
     ("gateway", "LINK_DOWN LINK_UP LISTENED PARTNER TICK"),
+    ("gateway.dialogue.clocks", "ASK_CLOCK REPORT_CLOCK=REPORT"),
     # Changes: of settings, of stamps, of the clock
     ("gateway.log.changes", "SETTING SETTINGS"),
     ("gateway.log.corrections", "CORRECTIONS StampCorrection"),

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from igtl_gateway.base.qos import Endpoint as Endpoint
     from igtl_gateway.base.qos import Qos as Qos
     from igtl_gateway.base.qos import incompatible as incompatible
+    from igtl_gateway.gateway.log.clock_offset import ANSWERS as CLOCK_ANSWERS
+    from igtl_gateway.gateway.log.clock_offset import DEVICE as CLOCK_DEVICE
+    from igtl_gateway.gateway.log.clock_offset import QUESTIONS as CLOCK_QUESTIONS
     from igtl_gateway.gateway.log.entry import Entry as Entry
     from igtl_gateway.gateway.log.entry import Kind as Kind
     from igtl_gateway.gateway.log.groups import input_groups as input_groups
@@ -67,6 +70,10 @@ if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile.stream_rows import StreamRows as StreamRows
     from igtl_gateway.replay.moment import check_part as check_part
     from igtl_gateway.replay.moment import since_text as since_text
+    from igtl_gateway.replay.played_action import PlayedAction as PlayedAction
+    from igtl_gateway.replay.recorded_calls import RecordedService as RecordedService
+    from igtl_gateway.replay.recorded_calls import recorded_calls as recorded_calls
+    from igtl_gateway.replay.recorded_clocks import RecordedClocks as RecordedClocks
     from igtl_gateway.replay.recorded_config import config_to_run as config_to_run
     from igtl_gateway.replay.recorded_config import recorded_acceptance as recorded_acceptance
     from igtl_gateway.replay.recorded_config import recorded_units as recorded_units
@@ -89,7 +96,16 @@ if TYPE_CHECKING:
     from igtl_gateway.replay.state_before import with_state as with_state
 
 #: Names that are others there; the rest of the group is above.
-__all__ = ["EntryStream", "file_identity", "is_of_recording", "open_recording", "recording_name"]
+__all__ = [
+    "CLOCK_ANSWERS",
+    "CLOCK_DEVICE",
+    "CLOCK_QUESTIONS",
+    "EntryStream",
+    "file_identity",
+    "is_of_recording",
+    "open_recording",
+    "recording_name",
+]
 
 HOMES: Homes = (
     # Recordings, for who does not need entries: those of the Python API
@@ -112,6 +128,8 @@ HOMES: Homes = (
     ("base.qos", "Endpoint Qos incompatible"),
     ("base.buffers", "Buffer join"),
     # What a session states: configuration, units, stamps, marks, seals
+    ("gateway.log.clock_offset", "CLOCK_ANSWERS=ANSWERS CLOCK_DEVICE=DEVICE CLOCK_QUESTIONS=QUESTIONS"),
+    ("replay.recorded_clocks", "RecordedClocks"),
     ("replay.recorded_config", "config_to_run recorded_acceptance recorded_units"),
     ("replay.recorded_stamps", "RecordedStamps"),
     ("replay.stamp_places", "StampPlaces"),
@@ -120,6 +138,8 @@ HOMES: Homes = (
     ("replay.moment", "check_part since_text"),
     ("replay.recorded_marks", "carry_marks marked_moment marks_of"),
     ("record.sessionfile.seals", "stated_seals"),
+    ("replay.recorded_calls", "RecordedService recorded_calls"),
+    ("replay.played_action", "PlayedAction"),
     # Its entries as they were before, and through a gateway
     ("replay.source", "check_recorded through_gateway without_messages"),
     ("replay.state_before", "latched_before messages_before notes_before with_state"),

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from igtl_gateway.base.untrusted.definition_checks import Types as Types
     from igtl_gateway.base.untrusted.definition_checks import weight as code_size
     from igtl_gateway.base.untrusted.derived_types import DerivedType as DerivedType
+    from igtl_gateway.base.untrusted.derived_types import messages_of as messages_of
     from igtl_gateway.base.untrusted.elements import ElementCounter as ElementCounter
     from igtl_gateway.base.untrusted.files import deadline_of as deadline_of
     from igtl_gateway.base.untrusted.files import is_same as is_same
@@ -60,7 +61,7 @@ HOMES: Homes = (
     ("base.untrusted", "ros_definitions=definitions"),
     ("base.untrusted.decoding", "MessageDecoder new_store register_types"),
     ("base.untrusted.definition_checks", "Types code_size=weight"),
-    ("base.untrusted.derived_types", "DerivedType"),
+    ("base.untrusted.derived_types", "DerivedType messages_of"),
     ("base.untrusted.elements", "ElementCounter"),
 )
 

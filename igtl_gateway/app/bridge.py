@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.app.awaited_sources import AwaitedSources
 from igtl_gateway.app.bridge_options import Address, BridgeOptions
+from igtl_gateway.app.clock_asker import ClockAsker
 from igtl_gateway.app.diagnostics import DiagnosticsTopic
 from igtl_gateway.app.hub import DeferredSend, Hub, Sink
 from igtl_gateway.app.live_changes import LiveChanges
@@ -31,6 +32,7 @@ from igtl_gateway.base.quantities import duration_text
 from igtl_gateway.base.stamp import NS_PER_MS
 from igtl_gateway.base.systems.memory import IdleMemory
 from igtl_gateway.config.configuration import Config
+from igtl_gateway.config.notations import uses_websocket
 from igtl_gateway.edges.interface import RosSide
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.tcp import TcpEdge
@@ -122,6 +124,7 @@ class Bridge:
             limits=options.limits,
             allow=options.allow,
             tls=options.tls,
+            origins=options.origins,
             passage=passage,
             reserved=options.reserved,
             admission=admission,
@@ -177,10 +180,12 @@ class Bridge:
             options.recording.triggers if options.record else (),
             [text.rpartition("=")[0] for text in options.site.classes],
             [address_text(each) for each in options.connect],
+            options.clock_from,
         )
         #: The configured sources that are not there.
         self.awaited = AwaitedSources(expected, self._present_sources, self.hub.note)
         self._silences = Silences()
+        self._clocks = ClockAsker(options.clock_from, self.gateway.questions, self.hub.note)
         tick_ns = _FAULTY_TICK_NS if config.faults else _TICK_NS
         timer = Timer(
             self.hub.tick,
@@ -242,11 +247,12 @@ class Bridge:
             (server,) = options.connect
             to = server in options.tls_connect
             for address in options.listen:
-                tls = address in options.tls_listen
-                self.addresses.append(self.tcp.relay(*address, server, tls=tls, tls_to=to))
+                tls, websocket = address in options.tls_listen, uses_websocket(address)
+                self.addresses.append(self.tcp.relay(*address, server, tls=tls, tls_to=to, websocket=websocket))
             return
         for address in options.listen:
-            self.addresses.append(self.tcp.listen(*address, tls=address in options.tls_listen))
+            tls, websocket = address in options.tls_listen, uses_websocket(address)
+            self.addresses.append(self.tcp.listen(*address, tls=tls, websocket=websocket))
         for address in options.connect:
             self.tcp.connect(*address, tls=address in options.tls_connect)
 
@@ -381,7 +387,9 @@ class Bridge:
     def _each_second(self) -> None:
         """Publish log and diagnostics, note silent streams, and return idle memory.  Runs in the timer's thread."""
         self._memory.look()
-        self.awaited.look(self._clock.monotonic_ns())
+        now_ns = self._clock.monotonic_ns()
+        self._clocks.look({link.number: link.peer for link in self.tcp.links() if link.connected}, now_ns)
+        self.awaited.look(now_ns)
         if self._passage:
             now_ns = self.hub.now_ns()
             self._reports.extend(Event(now_ns, Kind.EDGE_NOTE, note, ()) for note in self._passage.look())

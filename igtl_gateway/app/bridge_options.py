@@ -22,16 +22,17 @@ from igtl_gateway.config.notations import (
     cpus,
     file_mode,
     key_value,
+    listen_address,
     peer_address,
     retention,
     size_by_type,
+    uses_tls,
 )
 from igtl_gateway.config.settings import all_settings, check_needs
 from igtl_gateway.config.triggers import KINDS, Trigger, trigger
 from igtl_gateway.edges.reserved import ReservedPorts
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.edges.video import VideoOptions
-from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC
 from igtl_gateway.record.options import TIME, RecordOptions, path_at
 from igtl_gateway.record.selection import Selection
 
@@ -70,6 +71,7 @@ class BridgeOptions:
         limits: limits for each peer.
         tls: files for TLS.
         tls_listen, tls_connect: the addresses of ``listen`` and ``connect`` that use TLS.
+        origins: whose web pages may connect over WebSocket, beside those of this machine.
         node_name: name of the ROS node.
         recording: options of the recorder.
         upload: where closed recordings are copied to; "": nowhere.
@@ -88,10 +90,12 @@ class BridgeOptions:
     record: Path | None = None
     record_topics: tuple[str, ...] = ()
     allow: tuple[str, ...] = ()
+    clock_from: tuple[str, ...] = ()
     limits: PeerLimits = field(default_factory=PeerLimits)
     tls: TlsFiles = field(default_factory=TlsFiles)
     tls_listen: frozenset[Address] = frozenset()
     tls_connect: frozenset[Address] = frozenset()
+    origins: tuple[str, ...] = ()
     node_name: str = "igtl_gateway"
     recording: RecordOptions = field(default_factory=RecordOptions)
     upload: str = ""
@@ -140,6 +144,8 @@ def bridge_options(
             raise ConfigError(f"--relay: found {counted(len(connect), 'server')}, expected one: --connect HOST:PORT")
         if config.mark_from:
             raise ConfigError("--mark-from: found --relay, expected one of them: a relay reads no messages")
+        if values["clock_from"]:
+            raise ConfigError("--clock-from: found --relay, expected one of them: a relay sends no messages of its own")
         listen = listen or ((DEFAULT_HOST, DEFAULT_PORT),)
     if "peers" in given:
         _check_peers(config, (*listen, *connect))
@@ -157,10 +163,12 @@ def bridge_options(
             *_watched(how.triggers, ros=ros),
         ),
         allow=tuple(values["allow"]),
+        clock_from=tuple(values["clock_from"]),
         limits=limits(values),
         tls=tls(values),
         tls_listen=tls_listen,
         tls_connect=tls_connect,
+        origins=tuple(values["allow_origin"]),
         node_name=node_name,
         recording=how,
         upload=values.get("upload", ""),
@@ -207,8 +215,8 @@ def addresses(
 ) -> tuple[tuple[tuple[str, int], ...], tuple[tuple[str, int], ...]]:
     """Return (listen, connect) for checked strings or pairs, with the default server if there are none."""
     listen, connect = (
-        tuple(peer_address(place) if isinstance(place, str) else place for place in places)
-        for places in (listening, servers)
+        tuple(reads(place) if isinstance(place, str) else place for place in places)
+        for reads, places in ((listen_address, listening), (peer_address, servers))
     )
     return listen if listen or connect else ((DEFAULT_HOST, DEFAULT_PORT),), connect
 
@@ -230,14 +238,13 @@ def limits(values: Mapping[str, Any]) -> PeerLimits:
 
 def _watched(rules: Iterable[Trigger], *, ros: bool) -> list[str]:
     """Return the topics that rules look at.  Raises ConfigError for a rule that has no effect."""
-    if not ros and any(rule.kind == "diagnostics" for rule in rules):
-        raise ConfigError("--trigger diagnostics: found --no-ros or --relay, expected neither: the rule has no effect")
-    topics = [rule.pattern if KINDS[rule.kind].is_topic else DIAGNOSTICS_TOPIC for rule in rules if _is_of_topics(rule)]
-    return list(dict.fromkeys(topics))
-
-
-def _is_of_topics(rule: Trigger) -> bool:
-    return KINDS[rule.kind].is_topic or rule.kind == "diagnostics"
+    watched = [(rule, KINDS[rule.kind]) for rule in rules]
+    for rule, row in watched:
+        if row.only_ros and not ros:
+            raise ConfigError(
+                f"--trigger {rule.kind}: found --no-ros or --relay, expected neither: the rule has no effect"
+            )
+    return list(dict.fromkeys(row.topics.format(rule.pattern) for rule, row in watched if row.topics))
 
 
 def tls(values: Mapping[str, Any]) -> TlsFiles:
@@ -250,8 +257,8 @@ def secured(
 ) -> tuple[frozenset[tuple[str, int]], frozenset[tuple[str, int]]]:
     """Return the addresses with TLS: (listening, servers).  Raises ConfigError for files without such an address.
 
-    A certificate turns TLS on for all listening addresses except those with ``tcp://``: a user who gives one must not
-    discover later that the traffic was not encrypted.
+    A certificate turns TLS on for all listening addresses except those with ``tcp://`` or ``ws://``: a user who gives
+    one must not discover later that the traffic was not encrypted.
     """
     ours = _with_tls(listen, values["tls"] or bool(values["tls_cert"]))
     servers = _with_tls(connect, values["tls"])
@@ -261,8 +268,7 @@ def secured(
 
 
 def _with_tls(places: Iterable[tuple[str, int]], usual: bool) -> frozenset[tuple[str, int]]:
-    schemes = [(place, getattr(place, "scheme", "")) for place in places]
-    return frozenset(place for place, scheme in schemes if scheme == "tls" or (usual and scheme != "tcp"))
+    return frozenset(place for place in places if uses_tls(place, usual))
 
 
 def _of_a_recording(values: Mapping[str, Any]) -> list[str]:

@@ -14,6 +14,8 @@ from igtl_gateway.record.sessionfile.columns import Unfit
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import LeafDecoder, Tolerance
 from igtl_gateway.replay.diff import DiffInput, StreamDiff, diff
+from igtl_gateway.replay.exchange_summary import exchange_entries
+from igtl_gateway.replay.random_ids import numbered_ids
 from igtl_gateway.replay.recorded_config import config_to_run, units_of
 from igtl_gateway.replay.source import check_recorded, matches_any, without_messages
 
@@ -109,7 +111,8 @@ def compare_sessions(
 
 
 def _side(file: SessionFile) -> DiffInput:
-    decoder = LeafDecoder(file.definitions, units_of(config_to_run(file.session), file))
+    units = units_of(config_to_run(file.session), file)
+    decoder = LeafDecoder(file.definitions, units, numbered_ids(exchange_entries(file)))
     try:
         return DiffInput(file.entries(), decoder, file.columns())
     except Unfit:

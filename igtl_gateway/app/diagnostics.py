@@ -13,6 +13,7 @@ from igtl_gateway.edges.interface import RosSide
 from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.gateway import Core
 from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC, Diagnostics, PeerFacts
+from igtl_gateway.gateway.log.clock_offset import PeerClocks
 from igtl_gateway.gateway.log.note import Level, Note
 
 #: QoS of /diagnostics: that of the diagnostic updater.
@@ -97,6 +98,8 @@ class DiagnosticsTopic:
 
     def _peers(self) -> list[PeerFacts]:
         counters = self._tcp.counters()
+        now_ns = self._clock.utc_ns() + self._gateway.guard.ahead_ns
+        clocks = self._gateway.questions.clocks if self._gateway.questions else PeerClocks()
         return [
             PeerFacts(
                 link.number,
@@ -106,6 +109,7 @@ class DiagnosticsTopic:
                 counts.received_messages,
                 counts.queued_messages,
                 sum(counts.dropped.values()),
+                str(clocks.offset(link.number, now_ns) or ""),
             )
             for link in self._tcp.links()
             if link.connected and (counts := counters.get(link.number))

@@ -13,6 +13,7 @@ from typing import Any
 
 from igtl_gateway.app.status import BridgeStatus
 from igtl_gateway.base.errors import GatewayError
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.shape import anything, fields, text, unexpected
 from igtl_gateway.base.untrusted.text import parse_json
 from igtl_gateway.edges.tcp.http_server import DEADLINE_S, Handler, LocalServer
@@ -78,6 +79,13 @@ def _peers(facts: Facts) -> Iterator[Line]:
         yield {"link": str(peer["link"]), "peer": peer["peer"], "role": peer["role"]}, float(peer["connected"])
 
 
+def _clocks(facts: Facts) -> Iterator[Line]:
+    for peer in facts["peers"]:
+        for bound in ("low", "high"):
+            if peer["clock"] and (ns := peer["clock"][f"{bound}_ns"]) is not None:
+                yield {"link": str(peer["link"]), "peer": peer["peer"], "bound": bound}, ns / NS_PER_S
+
+
 def _of_links(count: str) -> Callable[[Facts], Iterator[Line]]:
     def lines(facts: Facts) -> Iterator[Line]:
         for link, counts in facts["ledger"]["links"].items():
@@ -133,6 +141,12 @@ METRICS = (
     Metric("stream_dropped_total", "counter", "dropped messages by stream and reason (loss ledger)", _stream_drops),
     Metric("stream_rate", "gauge", "messages per second, mean of the last 5 s", _rates),
     Metric("peer_connected", "gauge", "1: connected; 0: connection attempts", _peers),
+    Metric(
+        "peer_clock_offset_seconds",
+        "gauge",
+        "how far the clock of a peer is ahead of gateway time: at least (bound low), at most (bound high)",
+        _clocks,
+    ),
     Metric("peers_refused_total", "counter", "refused connections by reason", _refused),
     Metric("link_faults_total", "counter", "links that ended with a fault or inside a message", _link_faults),
     Metric(

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway import TICK
+from igtl_gateway.gateway.dialogue.clocks import ASK_CLOCK
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.gateway.orders import UNWRITTEN
@@ -30,7 +31,7 @@ _NEW_NS = 60 * NS_PER_S
 
 #: Codes of notes that only drive the gateway, several times a second; of commands that were not written, the guard has
 #: notes.
-_ROUTINE = frozenset({TICK, UNWRITTEN})
+_ROUTINE = frozenset({ASK_CLOCK, TICK, UNWRITTEN})
 #: Codes of notes of which each is news, although it has the words of the one before.
 _EACH_IS_NEWS = frozenset(
     "fault link_down link_up mark no_source record_continued record_snapshot setting source_came stream_back "

@@ -15,9 +15,10 @@ from igtl_gateway.record.sessionfile.layout import NOTE_KINDS
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.source import FORMS, RECOMPUTED, RELAY, STREAMS
 
-NOTES, UNREAD, LOST, NO_PEER, NOT_FOR_PEER, REFUSED, LEFT, OUTSIDE, NOT_REACHED = (
+NOTES, UNREAD, CALLED, LOST, NO_PEER, NOT_FOR_PEER, REFUSED, LEFT, OUTSIDE, NOT_REACHED = (
     "notes",
     "unread",
+    "called",
     "lost",
     "no_peer",
     "not_for_peer",
@@ -39,6 +40,7 @@ REASONS: Mapping[str, str] = {
     FORMS: "of another header version of a message that was sent",
     RELAY: "sent to the other side of the relay",
     RECOMPUTED: "recorded outputs; the outputs of this version were sent instead",
+    CALLED: "of services and actions, whose requests are sent instead (--services call)",
     LOST: "lost by --fault",
     NO_PEER: "while no peer was connected",
     NOT_FOR_PEER: "of types that no connected peer can read (--exact sends them)",

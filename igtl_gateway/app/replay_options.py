@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.app import bridge_options
-from igtl_gateway.app.replay_settings import ABSENT_SIDES, PEERS, REPLAY, ROS, Side, To
+from igtl_gateway.app.replay_settings import ABSENT_SIDES, PEERS, REPLAY, ROS, Calls, Side, To
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.versions import Self
 from igtl_gateway.config.faults import CLOCK_STEP, Faults
-from igtl_gateway.config.setting import CLIENTS, by_name, changed, check_effect
+from igtl_gateway.config.notations import uses_websocket
+from igtl_gateway.config.setting import BROWSERS, CLIENTS, by_name, changed, check_effect
 from igtl_gateway.edges.tcp import TlsFiles
 from igtl_gateway.replay.playback import checked_rate
 from igtl_gateway.replay.restamp import Mode
@@ -38,11 +39,13 @@ class ReplayOptions:
     listen: tuple[Address, ...]
     connect: tuple[Address, ...]
     allow: tuple[str, ...]
+    allow_origin: tuple[str, ...]
     tls: TlsFiles
     tls_listen: frozenset[Address]
     tls_connect: frozenset[Address]
     profile: str
     exact: bool
+    services: Calls
     start: str | None
     end: str | None
     duration: float | None
@@ -73,6 +76,7 @@ class ReplayOptions:
         """
         peers, ros = values["to"] != "ros", values["to"] != "igtl"
         met = {PEERS: peers, ROS: ros, CLIENTS: bool(values["listen"]) or not values["connect"]}
+        met[BROWSERS] = any(map(uses_websocket, values["listen"]))
         check_effect(by_name(REPLAY), values, changed(by_name(REPLAY), values), met, ABSENT_SIDES)
         if ros_args and not ros:
             raise ConfigError(f"--ros-args: {ABSENT_SIDES[ROS]}: the option has no effect here")

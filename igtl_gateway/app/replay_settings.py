@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Literal, get_args
 
 from igtl_gateway.config.notations import STREAM
-from igtl_gateway.config.setting import CLIENTS, NONE, Setting, grouped
+from igtl_gateway.config.setting import BROWSERS, CLIENTS, NONE, Setting, grouped
 from igtl_gateway.config.settings import ABSENT, BY_SETTING, PROFILE_NAMES, TLS
 from igtl_gateway.convert.choices import AUTO
 
@@ -17,6 +17,10 @@ To = Literal["igtl", "ros", "both"]
 #: Whose messages a replay sends: those of the peers or nodes, those of the gateway, or both; "": by default.
 Side = Literal["", "peers", "gateway", "both"]
 SIDES: tuple[Side, ...] = get_args(Side)
+
+#: What a replay to ROS does with recorded services and actions.
+Calls = Literal["answer", "call", "topics"]
+CALLS: tuple[Calls, ...] = get_args(Calls)
 
 #: How stamps in messages are sent; ``replay.restamp`` does it.
 MODES = ("keep", "now", "shift")
@@ -28,6 +32,7 @@ PEERS, ROS = "OpenIGTLink peers", "ROS"
 #: Such a need → what to report if it is not there.
 ABSENT_SIDES = {
     CLIENTS: ABSENT[CLIENTS],
+    BROWSERS: ABSENT[BROWSERS],
     PEERS: "found --to ros, expected --to igtl or --to both",
     ROS: "found --to igtl, expected --to ros or --to both",
 }
@@ -56,6 +61,7 @@ _FIRST = (
 _ADDRESSES = (
     *map(_of_a_bridge, ("listen", "connect")),
     _of_a_bridge("allow", needs=(PEERS, CLIENTS)),
+    _of_a_bridge("allow_origin", needs=(PEERS, BROWSERS)),
     *(replace(BY_SETTING[name], table=NONE, keyword=False, needs=(PEERS, *BY_SETTING[name].needs)) for name in TLS),
 )
 _FORMS = (
@@ -99,6 +105,15 @@ _SELECTION = (
         "whose messages are sent: those of the gateway; those of the peers, for ROS of its nodes; or both",
         choices=SIDES,
         shown="gateway; peers if it sent only queries, answers and pings; both for ROS",
+        common=True,
+    ),
+    Setting(
+        "services",
+        "answer",
+        "recorded services and actions: answer requests and goals as recorded; call: send the recorded ones at their "
+        "times; topics: only publish their topics, as ros2 bag play does",
+        choices=CALLS,
+        needs=(ROS,),
         common=True,
     ),
     _of_a_bridge("to_igtl", "send", ()),

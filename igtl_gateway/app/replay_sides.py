@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from threading import Event
 
 from igtl_gateway.app.faulty import all_with_disconnects, disconnector, with_disconnects
+from igtl_gateway.app.replay_calls import Calls, open_calls
 from igtl_gateway.app.replay_listeners import Listeners
 from igtl_gateway.app.replay_options import ReplayOptions
 from igtl_gateway.app.replay_plan import (
@@ -24,12 +25,13 @@ from igtl_gateway.app.replay_plan import (
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.stamp import NS_PER_MS, ns_to_ticks
+from igtl_gateway.config.notations import uses_websocket
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.tcp import LinkCounters, TcpEdge
 from igtl_gateway.gateway.dialogue.probing import REPLAY_REPLY, REPLY_DEVICE
-from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.recorded_config import recorded_acceptance
@@ -39,6 +41,8 @@ from igtl_gateway.wire import Message, encode
 
 _FLUSH_S = 30.0
 _LOOK_S = 0.2
+#: Longest wait for the discovery of servers that are called.
+_SERVERS_S = 2.0
 #: Longest wait for the first message of peers, which may show what they are; 3D Slicer sends one at once.
 _HELLO_NS, _HELLO_LOOK_S = 500 * NS_PER_MS, 0.01
 #: `doctor` announces itself within this time.
@@ -61,6 +65,7 @@ class ReplaySides:
         listeners: the OpenIGTLink peers; None: there is no such side.
         failed: topic → messages that ROS did not take, at the end.
         traffic: link → its traffic so far.
+        calls: what is done with recorded services and actions; None: nothing.
         undelivered: messages that did not leave for their peer, once for each peer; and whether there was never more
             than one peer at a time, so that no peer received these messages.  Called when the edge is closed.
     """
@@ -73,6 +78,7 @@ class ReplaySides:
     admit_all: Callable[[Sequence[Entry]], Sequence[Entry]] | None = None
     listeners: Listeners | None = None
     failed: Callable[[], Mapping[str, int]] = dict
+    calls: Calls | None = None
     traffic: Callable[[], Mapping[int, LinkCounters]] = dict
     undelivered: Callable[[], tuple[int, bool]] = lambda: (0, True)
 
@@ -113,6 +119,7 @@ def open_sides(
             admit=igtl.admit,
             listeners=igtl.listeners,
             failed=ros.failed,
+            calls=ros.calls,
             traffic=igtl.traffic,
             undelivered=igtl.undelivered,
         )
@@ -142,10 +149,11 @@ def _open_igtl(
         allow=options.allow,
         when_full="block",
         tls=options.tls,
+        origins=options.allow_origin,
     )
     stack.callback(edge.stop)
     for address in options.listen:
-        host, port = edge.listen(*address, tls=address in options.tls_listen)
+        host, port = edge.listen(*address, tls=address in options.tls_listen, websocket=uses_websocket(address))
         tell(f"OpenIGTLink server on {host}:{port}")
     for address in options.connect:
         edge.connect(*address, tls=address in options.tls_connect)
@@ -235,6 +243,9 @@ def _open_ros(
         for channel in file.channels
         if channel.kind in how.kinds and matches_any(channel.topic, options.streams)
     ]
+    calls = open_calls(options.services, file, [each.topic for each in channels if each.kind is Kind.ROS_IN], edge)
+    if calls:
+        channels = [each for each in channels if each.kind is not Kind.ROS_IN or each.topic not in calls.instead]
     for channel in channels:
         edge.advertise(channel.topic, channel.type, channel.qos or PLAYED_QOS)
     if options.clock_hz:
@@ -247,7 +258,21 @@ def _open_ros(
     while not edge.wait_ready(_LOOK_S):
         if stop.is_set():
             return None
-    send = ros_sender(edge, file, stop if options.lock_step else None)
+    if calls:  # the graph is known, and what it serves
+        calls.start(options.rate, tell)
+        calls.wait_for_servers(_SERVERS_S)
+    while calls and options.wait_peers and not calls.wait_for_servers(_LOOK_S):
+        if stop.is_set():
+            return None
+    publish = ros_sender(edge, file, stop if options.lock_step else None)
+
+    def send(entry: Entry) -> bool:
+        return bool(calls and entry.channel in calls.instead and calls.send(entry)) or publish(entry)
+
+    def finish() -> bool:
+        if calls:
+            calls.finish(stop)
+        return stop.is_set() or edge.wait_ready(_FLUSH_S)
 
     def failed() -> Mapping[str, int]:
         return {
@@ -256,4 +281,4 @@ def _open_ros(
             if counts["failed"] and not (options.clock_hz and topic == CLOCK_TOPIC)
         }
 
-    return ReplaySides(send, lambda: stop.is_set() or edge.wait_ready(_FLUSH_S), edge, failed=failed)
+    return ReplaySides(send if calls else publish, finish, edge, failed=failed, calls=calls)

@@ -13,6 +13,7 @@ from typing import Any
 from igtl_gateway.app.faulty import FaultyFeed
 from igtl_gateway.app.player import Jump, Player
 from igtl_gateway.app.replay_account import ReplayAccount
+from igtl_gateway.app.replay_calls import CallCounts
 from igtl_gateway.app.replay_options import ReplayOptions
 from igtl_gateway.app.replay_plan import (
     ReplayPlan,
@@ -93,6 +94,7 @@ class ReplayResult:
         faults: number of injected faults by name; None without fault injection.
         left_out: (address, profile, type) → number of messages that a peer did not get, because it cannot read them.
         adapted: (address, profile, type) → number of messages that a peer got in a form that it can read.
+        calls: service or action → what was answered or called.
     """
 
     file: Path
@@ -109,6 +111,7 @@ class ReplayResult:
     faults: dict[str, int] | None
     left_out: dict[tuple[str, str, str], int] = field(default_factory=dict)
     adapted: dict[tuple[str, str, str], int] = field(default_factory=dict)
+    calls: dict[str, CallCounts] = field(default_factory=dict)
 
     @property
     def sent(self) -> int:
@@ -180,9 +183,10 @@ def run_replay(path: Path, options: ReplayOptions, stop: Event, events: ReplayEv
 
         def feed(from_ns: int | None) -> Iterable[Entry]:
             account.begin()
-            entries = planned_entries(
+            entries: Iterable[Entry] = planned_entries(
                 file, config, how, options.streams, from_ns, end_ns, role, account.passed_over, account.made
             )
+            entries = side.calls.select(entries, account.passed_over) if side.calls else entries
             entries = faulty(entries) if faulty else entries
             return entries if clock_ns is None else with_ticks(entries, from_ns, clock_ns, pace)
 
@@ -320,4 +324,5 @@ def _result(
         dict(faulty.counts) if faulty else None,
         dict(side.listeners.left_out) if side.listeners else {},
         dict(side.listeners.adapted) if side.listeners else {},
+        dict(sorted(side.calls.counts().items())) if side.calls else {},
     )

@@ -11,8 +11,10 @@ from typing import Any, Protocol
 
 from igtl_gateway.app.bridge import Bridge
 from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.quantities import offset_text
 from igtl_gateway.base.stamp import NS_PER_S, utc_text
 from igtl_gateway.base.version import __version__
+from igtl_gateway.gateway import Core
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.rates import Rates
 
@@ -75,6 +77,7 @@ class BridgeStatus:
                     "role": link.role,
                     "connected": link.connected,
                     "profile": bridge.gateway.profile_of(link.number),
+                    "clock": clock_of(bridge.gateway, link.number, bridge.hub.now_ns()),
                 }
                 for link in bridge.tcp.links()
             ],
@@ -93,12 +96,16 @@ class BridgeStatus:
         }
 
     def _watched(self) -> list[dict[str, Any]]:
-        """Return what the guard knows of each stream; times in ns."""
+        """Return what the guard knows of each stream, by the clock of its sender; times in ns.
+
+        ``ahead_ns``: that clock is ahead by at least this, or behind by at most its opposite.
+        """
         return [
             {
                 "link": link,
                 "stream": stream,
                 "age_ns": one.age_ns,
+                "ahead_ns": one.timing.ahead_ns,
                 "jitter_ns": one.timing.jitter_ns if one.timing.stamped else None,
                 "stamped": one.timing.stamped,
                 "unset": one.timing.unset,
@@ -107,3 +114,20 @@ class BridgeStatus:
             }
             for (link, stream), one in self._bridge.gateway.guard.items()
         ]
+
+
+def clock_of(gateway: Core, link: int, now_ns: int) -> dict[str, Any] | None:
+    """Return the offset of a peer's clock as JSON values; None: nothing shows it.
+
+    Without answers there is a lower bound only, from the stamps of its streams: they are made before they arrive.
+    """
+    known = gateway.questions.clocks.offset(link, now_ns) if gateway.questions else None
+    if known:
+        return known.to_dict() | {"text": known.text}
+    least = [one.timing.ahead_ns for (of_link, _), one in gateway.guard.items() if of_link == link and link]
+    bounds = [ns for ns in least if ns is not None]
+    if not bounds:
+        return None
+    unknown = dict.fromkeys(("high_ns", "drift_low_ppm", "drift_high_ppm", "answers", "age_s"))
+    text = f"clock ahead by ≥ {offset_text(max(bounds))}, by its stamps"
+    return {"method": "one-way", "low_ns": max(bounds), **unknown, "text": text}

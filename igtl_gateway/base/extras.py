@@ -15,6 +15,7 @@ PURPOSES = {
     "ros": "`bridge`, `replay --to ros`, `doctor` and the verbs of the laboratory on a machine without a sourced ROS 2 "
     "(Linux x86_64)",
     "zenoh": "`bridge --ros zenoh`, `zenoh-router`, sites",
+    "websocket": "`--listen ws://HOST:PORT`: browsers and headsets as peers",
     "view": "`view`, `bridge --view`",
     "video": "`bridge --video-codec`, encoded pictures in `view`, `review` and `deidentify`",
     "nifti": "`import` of NIfTI volumes",
@@ -32,6 +33,8 @@ PURPOSES = {
 _MODULES = {
     "zenoh": ("zenoh",),
     "xxhash": ("zenoh",),
+    "wsproto": ("websocket",),
+    "h11": ("websocket",),
     "rclpy": ("ros",),
     "rerun": ("view",),
     "av": ("video", "lerobot"),

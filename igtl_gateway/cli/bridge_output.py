@@ -23,6 +23,7 @@ from igtl_gateway.cli.losses import losses
 from igtl_gateway.cli.terminal import clear_live_line, live_line, print_json, print_line
 from igtl_gateway.cli.type_tables import mapping, profiles
 from igtl_gateway.config.configuration import Config
+from igtl_gateway.config.notations import uses_websocket
 from igtl_gateway.edges.interface import DISCOVERY_NS
 from igtl_gateway.gateway import FAULT
 from igtl_gateway.gateway.denials import Denials
@@ -151,7 +152,8 @@ class TextOutput:
         print_line(f"igtl-gateway {__version__}")
         for (host, port), asked in zip(bridge.addresses, bridge.options.listen, strict=True):
             tls = ", TLS" if asked in bridge.options.tls_listen else ""
-            print_line(f"OpenIGTLink  server on {host}:{port}{tls}")
+            websocket = ", WebSocket" if uses_websocket(asked) else ""
+            print_line(f"OpenIGTLink  server on {host}:{port}{websocket}{tls}")
         how = "one connection per client (--relay)" if config.relay else "reconnects until stopped"
         for host, port in bridge.options.connect:
             tls = ", TLS" if (host, port) in bridge.options.tls_connect else ""

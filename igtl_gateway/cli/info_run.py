@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,6 +35,8 @@ from igtl_gateway.record.sessionfile.index import recover_hint
 from igtl_gateway.record.sessionfile.reader import PartSummary, SessionFile
 from igtl_gateway.replay.content_figures import summary_of
 from igtl_gateway.replay.content_summary import ContentSummary, StreamSummary
+from igtl_gateway.replay.exchange_summary import ExchangeSummary, ends_text, exchange_count
+from igtl_gateway.replay.recorded_clocks import RecordedClocks
 from igtl_gateway.replay.recorded_config import peer_units
 from igtl_gateway.replay.recorded_marks import marks_of
 
@@ -45,6 +47,8 @@ _IGTL = frozenset({Kind.IGTL_IN.value, Kind.IGTL_OUT.value})
 _ROS = frozenset({Kind.ROS_IN.value, Kind.ROS_OUT.value})
 #: Shorter recordings have no rate by the hour, s.
 _LEAST_S, _HOUR_S = 10.0, 3600
+#: Messages of services and actions that are read for their calls and goals: some seconds.
+_MOST_EXCHANGES = 1_000_000
 _NOT_YET = "   unknown: the ledger is written when the recording ends"
 
 
@@ -59,11 +63,16 @@ def _run(options: argparse.Namespace, recording: Recording) -> int:
         with SessionFile.open(place, incomplete=True) as file:
             begin_ns = whole_number(file.session.get("slice_start_ns")) or 0
             content, why = summary_of(file, begin_ns, full=options.full)
+            content.offsets = RecordedClocks.of(file).offsets
             summary = _facts(place, file, content, file.start_ns, file.end_ns) | {"file": str(options.file)}
             summary["bytes"] = file.size
             summary["figures"] = {"entries_read": why is not None, "why": why or ""}
             summary["damaged_indexes"] = file.damaged_indexes()
             summary["skipped"] = [asdict(skipped) for skipped in file.skipped]
+            uncounted = 0 if options.full else exchange_count(file)
+            is_few = uncounted <= _MOST_EXCHANGES
+            summary |= _exchanges(ExchangeSummary.of(file) if is_few else ExchangeSummary())
+            summary["uncounted"] = 0 if is_few else uncounted
             if file.parts:
                 summary["parts"] = [_part(part) for part in file.parts]
                 summary["missing_parts"] = [list(each) for each in file.missing_parts]
@@ -112,10 +121,11 @@ def _run_damaged(options: argparse.Namespace, place: Path, error: DamagedRecordi
     from igtl_gateway.record.sessionfile.salvage import Salvage  # here: few recordings are damaged
 
     with Salvage.open(place) as file:
-        content = ContentSummary.of(file.entries())
+        exchanges = ExchangeSummary()
+        content = ContentSummary.of(exchanges.passing(file.entries()))
         report = file.report
         summary = _facts(place, file, content, report.start_ns, report.end_ns)
-        summary |= {"file": str(options.file), "skipped": []}
+        summary |= {"file": str(options.file), "skipped": [], **_exchanges(exchanges)}
     summary["bytes"] = place.stat().st_size
     summary |= {"being_recorded": True} if growing else {"damaged": {"why": why, **asdict(report)}}
     if options.json:
@@ -179,6 +189,10 @@ def _facts(
         "gaps": gaps(file.ledger or {}),
         "seal": None if isinstance(file, SessionFile) and not file.is_sealed else _seal(path),
     }
+
+
+def _exchanges(found: ExchangeSummary) -> dict[str, Any]:
+    return {"services": found.services, "actions": found.actions}
 
 
 def _added(path: Path, start_ns: int, end_ns: int) -> tuple[Sequence[Mark], dict[str, Any] | None]:
@@ -325,9 +339,15 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
             rows.append((part["file"], f"{part['entries']:,}", size_text(part["bytes"]), *span))
         print_line(*aligned(rows, indent="    "))
     _print_streams(streams)
+    _print_exchanges("services", "calls", "service", summary["services"])
+    _print_exchanges("actions", "goals", "action", summary["actions"])
+    if uncounted := summary.get("uncounted", 0):
+        print_line(
+            f"  services  {count_text(uncounted, 'message')} of services and actions: --full counts calls and goals"
+        )
     for title, lines in (
         ("links", [_line(stamp, note, start_ns) for stamp, kind, note in notes if kind is Kind.LINK]),
-        ("clocks", [f"{_peer(clock)} by {clock['stream']}: {clock['text']}" for clock in summary["clocks"]]),
+        ("clocks", [line for clock in summary["clocks"] for line in _clock(clock)]),
         ("settings", [f"{change['at']}  {change['text']}" for change in summary["changes"]]),
         ("host's clock", [f"{step['at']}  {step['text']}" for step in summary["clock_steps"]]),
         ("marks", [*map(_mark, summary["marks"]), *_side_lines(summary["added_marks"])]),
@@ -416,6 +436,13 @@ def _print_streams(streams: list[dict[str, Any]]) -> None:
         print_line(*aligned(rows, text=True))
 
 
+def _print_exchanges(title: str, number: str, name: str, found: list[dict[str, Any]]) -> None:
+    """Print a table of services or actions: how many calls or goals, and how they ended."""
+    if found:
+        rows = [(f"  {each[name]}", f"{each[number]:,}", ends_text(each)) for each in found]
+        print_line(*aligned([(title, number, ""), *rows], text=True))
+
+
 def _stream_row(stream: dict[str, Any], *, shows_unit: bool) -> Sequence[str]:
     """Return the row of a stream: name, messages, rate, size, and in words its gap, type, unit and stamps."""
     unit = ""
@@ -440,6 +467,12 @@ def _stream_row(stream: dict[str, Any], *, shows_unit: bool) -> Sequence[str]:
 
 def _peer(clock: dict[str, Any]) -> str:
     return f"link {clock['link']} {clock['peer']}".rstrip() if clock["link"] else clock["peer"]
+
+
+def _clock(clock: dict[str, Any]) -> Iterator[str]:
+    yield f"{_peer(clock)} by {clock['stream']}: {clock['text']}"
+    if "offset" in clock:
+        yield f"{_peer(clock)}: {clock['offset']['text']}"
 
 
 def _line(stamp_ns: int, note: Note, start_ns: int) -> str:

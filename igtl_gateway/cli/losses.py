@@ -31,6 +31,7 @@ _LINK_FAULTS = {
     "queue_full": "send queue full of messages that must not be dropped",
     "refused": "TLS on an address without TLS",
     "tls_failed": "invalid TLS",
+    "websocket_failed": "invalid WebSocket",
 }
 
 

@@ -42,6 +42,8 @@ def print_report(options: ReplayOptions, result: ReplayResult, *, as_json: bool)
         print_line(line)
     for line in _what_peers_got(result):
         print_line(line)
+    for line in _what_was_called(result):
+        print_line(line)
     for refused in result.refused:
         print_line(f"! not published: {count_text(refused.messages, 'message')} of {refused.stream}: {refused.reason}")
     if options.to == "both" and result.sha256:
@@ -70,6 +72,7 @@ def _facts(options: ReplayOptions, result: ReplayResult) -> dict[str, Any]:
         "account": result.account,
         "left_out": _by_peer(result.left_out),
         "adapted": _by_peer(result.adapted),
+        "services": {name: {"done": each.done, "left": dict(each.left)} for name, each in result.calls.items()},
     }
     if options.to == "both":
         facts["sides"] = {
@@ -91,6 +94,17 @@ def _what_peers_got(result: ReplayResult) -> list[str]:
         f"{address} ({profile}) {what}: {', '.join(f'{name} {number:,}' for name, number in types.items())}{end}"
         for counts, what, end in words
         for (address, profile), types in _of_peers(counts).items()
+    ]
+
+
+def _what_was_called(result: ReplayResult) -> list[str]:
+    """Return a line for each service and action that was answered or called, and for each reason why not."""
+    done = [f"{name}: {each.text}" for name, each in result.calls.items() if each.done]
+    return done + [
+        f"! {name}: {why}: {number:,}"
+        for name, each in result.calls.items()
+        for why, number in each.left.items()
+        if number
     ]
 
 

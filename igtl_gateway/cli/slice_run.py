@@ -20,6 +20,7 @@ from igtl_gateway.record.sessionfile.large_outputs import LargeOutputs
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.whole_files import written
 from igtl_gateway.record.sessionfile.writer import SessionWriter
+from igtl_gateway.replay.exchange_summary import ExchangeSummary, incomplete
 from igtl_gateway.replay.moment import check_part
 from igtl_gateway.replay.recheck import message_counts
 from igtl_gateway.replay.recorded_config import absent_sources, config_to_run
@@ -70,10 +71,15 @@ def run(options: argparse.Namespace) -> int:
         _write(file, part, window, options, has_marks=bool(wanted))
         # the window may begin before the first message in it, and end behind the last one
         carry_marks(options.output, _unlogged(wanted, options.output, window.start_ns), only_within=False)
+        with SessionFile.open(options.output) as made:
+            cut = list(incomplete(ExchangeSummary.of(made)))
         if options.json:
-            print_json({"file": str(options.output), "bytes": options.output.stat().st_size, **_facts(part.report)})
+            facts = {**_facts(part.report), "incomplete": cut}
+            print_json({"file": str(options.output), "bytes": options.output.stat().st_size, **facts})
         else:
             _print(options.output, part.report)
+            for line in cut:
+                print_line(f"? {line}")
     return 0
 
 

@@ -26,6 +26,9 @@ _SIZES = {"MB": 10**6, "GB": 10**9, "TB": 10**12, "MiB": 1 << 20, "GiB": 1 << 30
 _MOST_AGE_S, _MOST_BYTES = 36_525 * 86_400, 10**18
 _QUANTITY = re.compile(r"([0-9]{1,15}(?:\.[0-9]{1,9})?) ?([A-Za-z]+)")
 
+#: Host and port of an origin.
+_HOST = re.compile(r"([A-Za-z0-9._-]+|\[[0-9A-Fa-f:.]+\])(:[0-9]{1,5})?")
+
 _LAST_CPU = 8191  # of any Linux
 
 
@@ -50,8 +53,12 @@ _FORMATS = {
 }
 
 
+#: Scheme of an address → whether it uses TLS (None: where TLS is the usual), and WebSocket.
+_SCHEMES = {"": (None, False), "tls": (True, False), "tcp": (False, False), "wss": (True, True), "ws": (False, True)}
+
+
 class PeerAddress(tuple[str, int]):
-    """Host and port; ``scheme`` is ``"tls"``, ``"tcp"`` or ``""``."""
+    """Host and port; ``scheme`` is one of the table, or ``""``."""
 
     scheme = ""
 
@@ -86,12 +93,44 @@ def address(text: str) -> tuple[str, int]:
 
 def peer_address(text: str) -> PeerAddress:
     """Parse ``[tls://|tcp://]HOST:PORT``; the part behind the scheme as in ``address``."""
+    return _with_scheme(text, "tls", "tcp")
+
+
+def listen_address(text: str) -> PeerAddress:
+    """Parse ``[tls://|tcp://|ws://|wss://]HOST:PORT``; the part behind the scheme as in ``address``."""
+    return _with_scheme(text, "tls", "tcp", "ws", "wss")
+
+
+def _with_scheme(text: str, *schemes: str) -> PeerAddress:
     scheme, found, rest = text.partition("://")
-    if found and scheme not in ("tls", "tcp"):
-        raise ConfigError(f"found {text!r}, expected tls://HOST:PORT, tcp://HOST:PORT or HOST:PORT")
+    if found and scheme not in schemes:
+        if scheme in _SCHEMES:
+            raise ConfigError(f"found {text!r}, expected {scheme}:// only where peers connect: --listen")
+        places = ", ".join(f"{each}://HOST:PORT" for each in schemes)
+        raise ConfigError(f"found {text!r}, expected {places} or HOST:PORT")
     made = PeerAddress(address(rest if found else text))
     made.scheme = scheme if found else ""
     return made
+
+
+def uses_tls(place: tuple[str, int], usual: bool) -> bool:
+    """Return whether an address uses TLS: by its scheme, or else as usual."""
+    tls, _ = _SCHEMES[getattr(place, "scheme", "")]
+    return usual if tls is None else tls
+
+
+def uses_websocket(place: str | tuple[str, int]) -> bool:
+    """Return whether peers speak WebSocket at an address."""
+    return _SCHEMES[getattr(listen_address(place) if isinstance(place, str) else place, "scheme", "")][1]
+
+
+def origin(text: str) -> str:
+    """Return an origin of web pages: ``http[s]://HOST[:PORT]``, ``null`` or ``*``."""
+    scheme, found, host = text.partition("://")
+    plain = text in ("*", "null") or (found and scheme in ("http", "https") and bool(_HOST.fullmatch(host)))
+    if not plain:
+        raise ConfigError(f"found {text!r}, expected an origin such as https://viewer.clinic:8443, null or *")
+    return text
 
 
 def recording_name(text: str) -> str:
@@ -152,6 +191,13 @@ def any_device(text: str) -> str:
     """Return the name of a device or a glob of names: printable, without blanks, for which ``?`` stands."""
     if not text.isprintable() or not text or " " in text:
         raise ConfigError(f"found {text!r}, expected a device or a glob without blanks such as Marks, Nurse*")
+    return text
+
+
+def address_glob(text: str) -> str:
+    """Return an address ``HOST:PORT`` or a glob of addresses."""
+    if not text.isprintable() or ":" not in text or " " in text:
+        raise ConfigError(f"found {text!r}, expected HOST:PORT or a glob such as 192.168.7.4:*")
     return text
 
 

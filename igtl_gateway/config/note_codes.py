@@ -4,7 +4,7 @@ from __future__ import annotations
 
 #: All of them, in alphabetical order; a test compares them with those in the sources.
 NOTE_CODES = (
-    "accept_failed active adapted age_unknown arm_unit bad_crc callback_failed calm cell_scalars clock_step "
+    "accept_failed active adapted age_unknown arm_unit ask_clock bad_crc callback_failed calm cell_scalars clock_step "
     "colours_left_out command_backwards command_early command_force command_frame command_joint_count "
     "command_joint_range command_joint_speed command_not_allowed command_not_finite command_not_rigid "
     "command_old command_refused command_speed command_timeout command_type command_unknown_state "
@@ -14,7 +14,8 @@ NOTE_CODES = (
     "internal_error latched_forgotten link_down link_up listen_failed listened malformed mark mark_refused "
     "mark_time name_cut name_shared native_passage no_base no_conversion no_frame_name no_interfaces "
     "no_partner no_source not_a_pose not_a_rotation not_finite not_for_peer not_valid out_of_memory own_parent "
-    "page peer_profile prologue_incomplete query_unanswered queue_drop queue_full rate_limited record_again "
+    "page peer_clock peer_clock_step peer_no_clock peer_profile prologue_incomplete "
+    "query_unanswered queue_drop queue_full rate_limited record_again "
     "record_continued record_drop record_failed record_late record_moves record_on_time record_part_lost "
     "record_paused record_rate record_refused record_resumed record_snapshot record_space record_space_low "
     "record_split_held record_stalled record_started record_stopped record_thread record_undefined "
@@ -27,6 +28,6 @@ NOTE_CODES = (
     "too_many_frames too_many_streams trajectory_not_drawn transform_status trigger trigger_incomplete "
     "trigger_saved truncated uint32_as_float64 unit_jump unknown_frame unknown_status unreachable "
     "unreadable_note upload_confirmed upload_differs upload_reached upload_waits video_changed video_drop "
-    "video_failed video_refused wire_error zenoh_connected zenoh_left zenoh_lost zenoh_no_router "
+    "video_failed video_refused websocket_failed wire_error zenoh_connected zenoh_left zenoh_lost zenoh_no_router "
     "zenoh_not_closed"
 ).split()

@@ -24,8 +24,9 @@ NONE = ""
 #: The setting is a table of a file itself: one row of messages for each ``[[to_igtl]]``.
 ROWS = "rows"
 
-#: What a setting may need beside other settings: a graph of ROS, a port for clients, arms with CRTK topics.
-ROS_GRAPH, CLIENTS, ARMS = "ROS", "clients", "arms"
+#: What a setting may need beside other settings: a graph of ROS, a port for clients, arms with CRTK topics, a port for
+#: browsers.
+ROS_GRAPH, CLIENTS, ARMS, BROWSERS = "ROS", "clients", "arms", "browsers"
 
 Value = bool | int | float | str | tuple[str, ...] | None
 

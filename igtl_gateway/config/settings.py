@@ -20,6 +20,7 @@ from igtl_gateway.base.near import did_you_mean, near_names, one_of
 from igtl_gateway.config import notations, triggers
 from igtl_gateway.config.setting import (
     ARMS,
+    BROWSERS,
     CLIENTS,
     GATEWAY,
     HOST,
@@ -43,6 +44,7 @@ ABSENT = {
     ROS_GRAPH: "found --no-ros or --relay, expected neither",
     CLIENTS: "found --connect without --listen, expected --listen",
     ARMS: "found no --profile crtk, expected it",
+    BROWSERS: "found no --listen ws://HOST:PORT or wss://HOST:PORT, expected one",
 }
 
 #: Settings of TLS.
@@ -97,6 +99,7 @@ def check_needs(values: Mapping[str, Any], names: Iterable[str], *, ros: bool) -
         ROS_GRAPH: ros,
         CLIENTS: bool(values["listen"] or values["relay"]) or not values["connect"],
         ARMS: bool(values["crtk"] or arms_of_profile(values["profile"])),
+        BROWSERS: any(map(notations.uses_websocket, values["listen"])),
     }
     check_effect(by_name(all_settings()), values, names, met, ABSENT)
 
@@ -155,10 +158,11 @@ _ADDRESSES = (
     Setting(
         "listen",
         (),
-        "listen for OpenIGTLink clients on this address; port 0 selects a free port",
+        "listen for OpenIGTLink clients on this address, with ws:// or wss:// (TLS) over WebSocket; port 0 selects a "
+        "free port",
         IGTL,
-        metavar="[tls://]HOST:PORT",
-        reads=notations.peer_address,
+        metavar="[tls://|ws://|wss://]HOST:PORT",
+        reads=notations.listen_address,
         shown=f"{notations.DEFAULT_HOST}:{notations.DEFAULT_PORT}, unless --connect is given",
         common=True,
     ),
@@ -190,7 +194,26 @@ _SECURITY = (
         needs=(CLIENTS,),
         common=True,
     ),
-    Setting("tls", False, "use TLS at all addresses except those that begin with tcp://", IGTL),
+    Setting(
+        "clock_from",
+        (),
+        "ask peers at this address for their clock, once a second: other gateways, and programs that stamp each answer "
+        "when they make it",
+        IGTL,
+        metavar="HOST:PORT",
+        reads=notations.address_glob,
+    ),
+    Setting(
+        "allow_origin",
+        (),
+        "over WebSocket, accept web pages of this origin, such as https://viewer.clinic, '*' for all; those of "
+        "localhost are accepted",
+        IGTL,
+        metavar="ORIGIN",
+        reads=notations.origin,
+        needs=(BROWSERS,),
+    ),
+    Setting("tls", False, "use TLS at all addresses except those that begin with tcp:// or ws://", IGTL),
     Setting("tls_cert", "", "own certificate (PEM); turns TLS on for --listen", IGTL, metavar="FILE"),
     Setting(
         "tls_key",
@@ -502,13 +525,20 @@ _RECORDING = (
     Setting(
         "record_topics",
         (),
-        "also record these ROS topics, in addition to the bridged ones; * matches one level, ** any number",
+        "also record these ROS topics, in addition to the bridged ones; * matches one level, ** any number; hidden "
+        "ones by a level with _, as /fib/_action/**",
         metavar="GLOB",
         needs=("record", ROS_GRAPH),
         common=True,
         words=True,
     ),
-    Setting("record_all", False, "also record all ROS topics", needs=("record", ROS_GRAPH), common=True),
+    Setting(
+        "record_all",
+        False,
+        "also record all ROS topics, services and actions",
+        needs=("record", ROS_GRAPH),
+        common=True,
+    ),
     Setting(
         "record_include",
         (),

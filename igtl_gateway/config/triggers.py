@@ -29,23 +29,35 @@ class Kind:
         about: when it is triggered.
         matched: what the pattern, a glob, is compared with.
         pattern: that without one; "": one is needed.
-        is_topic: the pattern is one of ROS topics, which are recorded therefore.
+        topics: glob of the ROS topics that are looked at, and recorded therefore; ``{}`` stands for the pattern.
+        expected: topic that is there if the pattern names something; ``""``: the pattern is not of ROS.
+        only_ros: whether only ROS nodes send what is looked at.
     """
 
     about: str
     matched: str
     pattern: str = "**"
-    is_topic: bool = False
+    topics: str = ""
+    expected: str = ""
+    only_ros: bool = False
 
 
 KINDS = {
     "guard": Kind("a finding of the guard: stamps, units, ages", "stream"),
     "link_down": Kind("a link is lost", "address of the peer"),
+    "clock": Kind("the clock of a peer, or of this host, was set", "address of the peer"),
     "loss": Kind("messages were dropped: by a queue, the middleware, an encoder or the recorder", "stream"),
-    "diagnostics": Kind("a status in `/diagnostics` becomes ERROR", "name of the status"),
+    "diagnostics": Kind(
+        "a status in `/diagnostics` becomes ERROR", "name of the status", topics="/diagnostics", only_ros=True
+    ),
     "status": Kind("a STATUS of a peer is not OK", "device"),
-    "operating_state": Kind("a CRTK arm gets the operating state FAULT", "topic", "/**/operating_state", is_topic=True),
-    "value": Kind("a number of a ROS message leaves its range", "topic", "", is_topic=True),
+    "operating_state": Kind(
+        "a CRTK arm gets the operating state FAULT", "topic", "/**/operating_state", topics="{}", expected="{}"
+    ),
+    "action_aborted": Kind(
+        "a server aborts a goal", "action", topics="{}/_action/**", expected="{}/_action/status", only_ros=True
+    ),
+    "value": Kind("a number of a ROS message leaves its range", "topic", "", topics="{}", expected="{}"),
     "mark": Kind("a mark is made", "label"),
     "note": Kind("a note is written", "code", ""),
 }

@@ -53,6 +53,7 @@ class ServiceEvent:
         client: the client, 16 bytes.
         number: of the request, for this client.
         has_request: whether it has the content of a request, which introspection can leave out.
+        goal: what the content of a request begins with: of a service of an action, the id of a goal.
         response: the content of the response as a message of its own, CDR; None without one.
     """
 
@@ -61,6 +62,7 @@ class ServiceEvent:
     client: bytes
     number: int
     has_request: bool
+    goal: bytes
     response: bytes | None
 
     @classmethod
@@ -82,7 +84,17 @@ class ServiceEvent:
             )
         # behind both counts a content begins at a multiple of 8 bytes, so it is aligned as in a message of its own
         response = data[:_ENCAPSULATION] + data[info.size + 2 * count.size :] if responses else None
-        return cls(kind, ros_to_ns(seconds, rest_ns), client, number, requests == 1, response)
+        at = info.size + count.size
+        goal = data[at : at + _ID] if requests else b""
+        return cls(kind, ros_to_ns(seconds, rest_ns), client, number, requests == 1, goal, response)
+
+
+def feedback_goal(cdr: Buffer) -> bytes:
+    """Return the id of the goal of a feedback.  Raises ConversionError."""
+    goal = bytes(cdr[_ENCAPSULATION : _ENCAPSULATION + _ID])
+    if len(goal) < _ID:
+        raise ConversionError(f"found {counted(len(cdr), 'byte')}, expected the feedback of a goal")
+    return goal
 
 
 def goal_states(cdr: Buffer) -> list[tuple[bytes, int]]:

@@ -14,6 +14,7 @@ from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.realtime import cpus_text
 from igtl_gateway.doctor.host_facts import HostFacts
 from igtl_gateway.doctor.host_probe import Delays, HostMeasurement
+from igtl_gateway.doctor.middleware import losses_of, versions_text
 from igtl_gateway.doctor.rules import Severity
 
 #: A CPU that needs longer to wake up delays each pose of a slow stream noticeably.
@@ -232,6 +233,14 @@ def quota(facts: HostFacts) -> Judgement | None:
     return _judged(cpus >= MIN_QUOTA, "no quota" if cpus == float("inf") else f"quota of {cpus:g} CPUs")
 
 
+def middleware(facts: HostFacts) -> Judgement:
+    versions = facts.middleware
+    if not versions:
+        return Judgement(Status.UNKNOWN, "no ROS 2 with Fast DDS here")
+    lost = [f"{loss.effect} ({loss.source})" for loss in losses_of(versions)]
+    return _judged(not lost, ": ".join((versions_text(versions), *(["; ".join(lost)] if lost else []))))
+
+
 def steal(facts: HostFacts, measured: HostMeasurement) -> Judgement:
     share = measured.steal
     if share is None:
@@ -370,5 +379,9 @@ HOST_CHECKS: tuple[HostCheck, ...] = (
     HostCheck(
         "IGTL-W922", "synchronised clock", "synchronised by NTP or PTP",
         "run chrony or systemd-timesyncd; ptp4l and phc2sys for network cards with a PTP clock", of_fact(synchronised),
+    ),
+    HostCheck(
+        "IGTL-W926", "ROS middleware", "a version without a known loss",
+        "update the package, or use `bridge --ros zenoh` with rmw_zenoh_cpp in all nodes", of_fact(middleware),
     ),
 )  # fmt: skip

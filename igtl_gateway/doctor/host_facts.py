@@ -10,7 +10,7 @@ import ctypes
 import re
 import shutil
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +20,7 @@ from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.realtime import CAP_IPC_LOCK, CAP_SYS_NICE, has_capability
 from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.config.notations import cpus
+from igtl_gateway.doctor.middleware import Version, installed, prefixes
 
 ROOT = Path("/")
 
@@ -83,6 +84,7 @@ class HostFacts:
         synchronised: whether a program (NTP, PTP) adjusts the clock.
         ptp_clocks: number of clocks for PTP.
         quota: CPUs' worth of time that the control group may use; infinity: no limit.
+        middleware: versions of the packages of `middleware.LOSSES` that are installed.
     """
 
     version: str
@@ -115,6 +117,7 @@ class HostFacts:
     synchronised: bool | None
     ptp_clocks: int
     quota: float | None
+    middleware: Mapping[str, Version]
 
 
 def is_clock_synchronised() -> bool | None:
@@ -151,8 +154,14 @@ def read_facts(
     root: Path = ROOT,
     synchronised: Callable[[], bool | None] = is_clock_synchronised,
     free: Callable[[Path], int | None] = free_bytes,
+    ros: Iterable[Path] | None = None,
 ) -> HostFacts:
-    """Read all facts of the machine whose folders ``proc``, ``sys`` and ``dev`` are in ``root``."""
+    """Read all facts of the machine whose folders ``proc``, ``sys`` and ``dev`` are in ``root``.
+
+    Args:
+        root, synchronised, free: of the machine.
+        ros: the folders with ROS packages; None: those of this environment.
+    """
     proc, cpu, kernel = root / "proc", root / "sys/devices/system/cpu", root / "proc/sys/kernel"
     core = root / "proc/sys/net/core"
     status = proc / "self/status"
@@ -190,6 +199,7 @@ def read_facts(
         synchronised=synchronised(),
         ptp_clocks=len(list(root.glob("sys/class/ptp/ptp*"))),
         quota=_first(_quota(folder) for folder in _groups(root)),
+        middleware=installed(prefixes() if ros is None else ros),
     )
 
 

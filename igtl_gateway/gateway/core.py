@@ -18,6 +18,7 @@ from igtl_gateway.convert.igtl_msgs import RawMessage
 from igtl_gateway.gateway.activity import Activity
 from igtl_gateway.gateway.command_guard import CommandGuard, Write
 from igtl_gateway.gateway.denials import Denials
+from igtl_gateway.gateway.dialogue.clocks import ASK_CLOCK, ClockQuestions
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.dialogue.links import LINKS_QOS, LINKS_TOPIC, Links
 from igtl_gateway.gateway.dialogue.marking import Marking
@@ -74,6 +75,7 @@ class Gateway:
         phases: those that marks have begun.
         on_mark: takes each mark of a peer; None in a session that is computed again, whose inputs have it.
         fast, prepare: entry points of the fast path; see ``FastPath``.
+        questions: those to peers for their clock.
         deadline_set: called after each input that may have set ``due_ns`` to an earlier time; see ``app.timer``.
     """
 
@@ -117,6 +119,8 @@ class Gateway:
         router = Router(config, streams, guard, volumes, self._converter, robots, peers)
 
         self._commands = commands = Commands(config, peers, streams, composer, delivery)
+        self.questions = questions = ClockQuestions(peers, delivery)
+        guard.clock_text = questions.clocks.text
         queries = Queries(
             peers, denied_out, latest, delivery, lambda frame: composer.knows(frame) or tf.tree.knows(frame)
         )
@@ -131,6 +135,7 @@ class Gateway:
             frames=frames,
             commands=commands,
             activity=activity,
+            questions=questions,
             shared=shared,
         )
         igtl_receiver = IgtlReceiver(
@@ -144,6 +149,7 @@ class Gateway:
             commands=commands,
             activity=activity,
             marking=Marking(config, self.phases, guard, self._mark),
+            questions=questions,
         )
         ros_beforehand = RosBeforehand(config, streams, peers)
         ros_receiver = RosReceiver(
@@ -323,6 +329,8 @@ class Gateway:
             outcome = self._forget()
             outcome.items += [*self._commands.overdue(entry), *self._links.ping(entry), *self._links.release(entry)]
             return outcome
+        if event.code == ASK_CLOCK:
+            return Outcome(self.questions.ask(entry, event.data))
         if event.code == UNWRITTEN:
             self._robots.recall(entry.links, event)
             return Outcome()
@@ -333,6 +341,7 @@ class Gateway:
         self.phases.follow(event)
         if step := ClockStep.of(entry):
             self._guard.clock_stepped(step.ahead_ns)
+            self.questions.clocks.stepped(entry.stamp_ns)
         return Outcome(tallies=[Tally("edges", event.stream, event.code)])
 
     def _forget(self) -> Outcome:

@@ -40,7 +40,7 @@ DISK_LOW_S = 1800.0
 
 @dataclass(frozen=True, slots=True)
 class PeerFacts:
-    """Facts of the TCP edge about a peer: link, address, and the sent, queued and dropped messages."""
+    """Facts about a peer: link, address, the sent, queued and dropped messages, the offset of its clock in words."""
 
     link: int
     address: str
@@ -49,6 +49,7 @@ class PeerFacts:
     received: int = 0
     queued: int = 0
     dropped: int = 0
+    clock_offset: str = ""
 
 
 @dataclass(slots=True)
@@ -192,6 +193,8 @@ class Diagnostics:
         values = [(key, f"{getattr(peer, key)}") for key in ("role", "received", "sent", "queued", "dropped")]
         if clock:
             values.append(("clock", str(clock)))
+        if peer.clock_offset:
+            values.append(("clock_offset", peer.clock_offset))
         return DiagnosticStatus(level, name, text, peer.address, tuple(values))
 
     def _recorder(self, counters: Mapping[str, Any] | None) -> DiagnosticStatus:

@@ -20,7 +20,7 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.triggers import KINDS, Trigger
 from igtl_gateway.convert.arms import arms_of_profile
 from igtl_gateway.convert.crtk import namespaces
-from igtl_gateway.convert.exchanges import SERVICE_EVENT
+from igtl_gateway.convert.exchanges import IN_ACTION, SERVICE_EVENT
 from igtl_gateway.convert.frames import frame_id
 from igtl_gateway.convert.igtl_msgs import RawMessage
 from igtl_gateway.convert.table import row_to_igtl
@@ -88,6 +88,7 @@ SOURCES: tuple[SourceKey, ...] = (
     SourceKey("site_classes", "", "stream", option="--site-class"),
     SourceKey("connect", "", "link"),
     SourceKey("peers", "at", "peer"),
+    SourceKey("clock_from", "", "peer", option="--clock-from"),
 )
 
 #: What the pattern of a trigger is compared with → kind; a stream need not come for its losses to be waited for.
@@ -210,6 +211,7 @@ def expected_sources(
     triggers: Iterable[Trigger] = (),
     classed: Iterable[str] = (),
     connect: Iterable[str] = (),
+    clock_from: Iterable[str] = (),
 ) -> list[ExpectedSource]:
     """Return the sources that a configuration names.
 
@@ -220,6 +222,7 @@ def expected_sources(
         triggers: rules of the black box.
         classed: globs of the topics with a class on the line between sites.
         connect: addresses of the servers that are connected to.
+        clock_from: globs of the addresses of peers that are asked for their clock.
     """
     given: dict[str, Iterable[Any]] = {
         "record_topics": recorded,
@@ -228,6 +231,7 @@ def expected_sources(
         "trigger": triggers,
         "site_classes": classed,
         "connect": connect,
+        "clock_from": clock_from,
     }
     found: dict[tuple[SourceKind, str], ExpectedSource] = {}  # of several settings with one name, the first one
     for key in SOURCES:
@@ -277,8 +281,8 @@ def _of_a_trigger(rule: Trigger, option: str) -> list[ExpectedSource]:
     row = KINDS[rule.kind]
     if rule.pattern == row.pattern:
         return []
-    if row.is_topic:
-        return [ExpectedSource("topic", rule.pattern, option)]
+    if row.expected:
+        return [ExpectedSource("topic", row.expected.format(rule.pattern), option)]
     kind = _OF_TRIGGERS.get(row.matched)
     return [ExpectedSource(kind, rule.pattern, option, is_optional=kind == "stream")] if kind else []
 
@@ -297,11 +301,18 @@ def missing_sources(expected: Iterable[ExpectedSource], present: PresentSources)
             continue
         if source.kind == "peer" and _is_wild(source) and not present.connected:
             continue  # an address that only a connected peer has
-        near = nearest_name(source.name.strip(_WILD), names)
+        near = _hidden_name(source.name, names) or nearest_name(source.name.strip(_WILD), names)
         if source.is_optional and not near:
             continue
         found.append(MissingSource(source, _absence(source, present), near))
     return found
+
+
+def _hidden_name(name: str, names: Names) -> str:
+    """Return the topics of a service or an action that is named itself; ``""`` of other names."""
+    if (events := f"{name}{SERVICE_EVENT}") in names:
+        return events
+    return f"{name}{IN_ACTION}**" if any(each.startswith(f"{name}{IN_ACTION}") for each in names) else ""
 
 
 def _is_name_of(source: ExpectedSource, name: str) -> bool:

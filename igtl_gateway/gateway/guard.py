@@ -13,11 +13,13 @@ It has two functions, for each stream (of OpenIGTLink: for each stream of a link
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.rosmsg import TransformStamped
 from igtl_gateway.gateway.guarded_stream import CODES, STALE, GuardedStream, Place, findings_of
+from igtl_gateway.gateway.log.clock_offset import PeerClocks
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.outcome import Item
 from igtl_gateway.gateway.verdicts import Verdicts
@@ -35,6 +37,7 @@ class Guard:
 
     Attributes:
         ahead_ns: how far gateway time is ahead of the host's clock; see ``gateway/log/clocksteps.py``.
+        clock_text: returns by which clock the stamps of a link show an age, see ``PeerClocks.text``.
         verdicts: the results of the commands to robots in the input, if it is one of a prologue.
     """
 
@@ -42,6 +45,7 @@ class Guard:
         self.watch = watch
         self.ahead_ns = 0
         self.verdicts: Verdicts | None = None
+        self.clock_text = PeerClocks().text
         self._streams: dict[tuple[int, str], GuardedStream] = {}
         self._others: dict[int, GuardedStream] = {}
 
@@ -59,6 +63,7 @@ class Guard:
                 watched = self._others.setdefault(max_age_ns, GuardedStream("(other streams)", max_age_ns, watch=False))
             else:
                 watched = self._streams[link, stream] = GuardedStream(stream, max_age_ns, watch=self.watch)
+                watched.clock_text = partial(self.clock_text, link)
             watched.ahead_ns = self.ahead_ns
         return watched
 

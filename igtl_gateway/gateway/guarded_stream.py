@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.quantities import count_text, duration_text
@@ -68,6 +68,7 @@ class GuardedStream:
         look_ns: gateway time from which ``passes_quickly`` must call ``is_unremarkable``.
         arrived_ns: gateway time of the last check.
         ahead_ns: how far gateway time is ahead of the host's clock, with which source stamps are compared.
+        clock_text: returns by which clock its stamps show an age at a gateway time, for notes.
         timing: timing of the checked stamps.
         stale: number of messages withheld since the stream became stale; 0: it is fresh.
         episodes: code of each current oddity → first time, last time (gateway time), count.
@@ -83,6 +84,7 @@ class GuardedStream:
         "_watch",
         "ahead_ns",
         "arrived_ns",
+        "clock_text",
         "episodes",
         "last_ns",
         "look_ns",
@@ -99,6 +101,7 @@ class GuardedStream:
         self.stale = 0
         self.episodes: dict[str, list[int]] = {}
         self.max_age_ns = max_age_ns
+        self.clock_text: Callable[[int], str] = _of_sender
         self._watch = watch
         self._due_ns = 0
         self._seen_ns = 0  # stamp at the last check
@@ -164,7 +167,8 @@ class GuardedStream:
                 return True, []
             self._stale_since_ns = now_ns
             age, most = duration_text(now_ns - self.ahead_ns - own_ns), duration_text(self.max_age_ns)
-            text = f"{self.stream} is stale: messages are {age} old, expected at most {most}"
+            clock = self.clock_text(now_ns)
+            text = f"{self.stream} is stale: messages are {age} old {clock}, expected at most {most}"
             return True, [(Level.ERROR, STALE, text)]
         return False, self._fresh(now_ns) if code == FRESH else []
 
@@ -275,7 +279,8 @@ class GuardedStream:
             return f"stamps decrease by {duration_text(self.last_ns - stamp_ns)}"
         if code == FUTURE:
             ahead = duration_text(stamp_ns - now_ns + self.ahead_ns)
-            return f"stamps are {ahead} in the future; synchronise the clocks (NTP, PTP)"
+            clock = self.clock_text(now_ns)
+            return f"stamps are {ahead} in the future {clock}; synchronise the clocks (NTP, PTP)"
         if code == STILL:
             return (
                 f"stamps do not change while messages arrive ({STILL_LOOKS} checks); check whether the source is frozen"
@@ -285,6 +290,10 @@ class GuardedStream:
             f"translation jumped from {before:.6g} to {after:.6g} in the same direction, a factor of "
             f"{max(before, after) / min(before, after):.4g}: metres instead of millimetres?"
         )
+
+
+def _of_sender(_now_ns: int) -> str:
+    return "by the sender's clock"
 
 
 def is_unit_jump(before: Sequence[float], after: Sequence[float]) -> bool:

@@ -69,6 +69,7 @@ class Peer:
         link: number of the link.
         address, role: from the note of the link.
         place: what ``--peer`` and ``[[peers]]`` call it: the address of the server of its link.
+        places: all addresses by which settings may name it.
         profile: profile of the peer.
         chosen: whether the configuration sets the profile, or a message has shown it without doubt.
         frames: the search for the frames of PLUS; None: they are not searched.
@@ -93,6 +94,7 @@ class Peer:
     profile: PeerProfile
     chosen: bool
     place: str = "ADDRESS"
+    places: tuple[str, ...] = ()
     frames: TrackedFrames | None = None
     knows: set[str] = field(default_factory=set)
     asked: set[str] = field(default_factory=set)
@@ -286,6 +288,7 @@ class Peers:
         peer.awaited = bool(self._config.cautious and self._config.fitting)
         if name == AUTO and peer.recent:
             peer.frames = TrackedFrames(streams=role == "client")
+        peer.places = tuple(places)
         self._peers[link] = peer
         return peer
 

@@ -26,6 +26,7 @@ from igtl_gateway.gateway.acceptance import Acceptance
 from igtl_gateway.gateway.activity import INACTIVE, Activity
 from igtl_gateway.gateway.command_guard import Write
 from igtl_gateway.gateway.denials import Denials
+from igtl_gateway.gateway.dialogue.clocks import ClockQuestions
 from igtl_gateway.gateway.fastpath import FastHandler, PrepareMessage, no_fast_path
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.live_settings import LiveSettings
@@ -66,6 +67,7 @@ class RelayGateway:
         self.phases = OpenPhases()
         self.on_mark: Callable[[MarkNote], None] | None = None
         self.write: Write | None = None
+        self.questions: ClockQuestions | None = None
         self.take_unwritten: Callable[[], Note | None] = no_fast_path
         self._partners: dict[int, int] = {}
         self._servers: set[int] = set()  # links to the server

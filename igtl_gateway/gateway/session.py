@@ -17,6 +17,7 @@ from igtl_gateway.base.stamp import of_milliseconds, ticks_to_ns
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.command_guard import Write
 from igtl_gateway.gateway.core import Gateway
+from igtl_gateway.gateway.dialogue.clocks import ClockQuestions
 from igtl_gateway.gateway.fastpath import FastHandler, Prepared, PrepareMessage
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -41,6 +42,9 @@ class Core(Protocol):
     phases: OpenPhases
     on_mark: Callable[[MarkNote], None] | None
     write: Write | None
+
+    @property
+    def questions(self) -> ClockQuestions | None: ...
 
     @property
     def ledger(self) -> Ledger: ...

@@ -23,6 +23,7 @@ from igtl_gateway.convert.assembly import VolumeAssembler
 from igtl_gateway.gateway.activity import Activity
 from igtl_gateway.gateway.core import Gateway
 from igtl_gateway.gateway.denials import Denials
+from igtl_gateway.gateway.dialogue.clocks import ClockQuestions
 from igtl_gateway.gateway.guard import Guard, GuardedStream
 from igtl_gateway.gateway.guarded_stream import STILL_LOOKS
 from igtl_gateway.gateway.log.entry import Entry
@@ -34,8 +35,12 @@ _LEFT_OUT: Mapping[type, frozenset[str]] = {
     Gateway: frozenset({"fast_path", "fast", "prepare"}),  # equal results, or none
     Bookkeeper: frozenset({"ledger"}),
     Peer: frozenset({"sent"}),  # for the ledger
+    ClockQuestions: frozenset(
+        {"clocks", "_reported", "_asking", "_not_asked"}
+    ),  # for people, and for the edge that asks
     Denials: frozenset({"_known"}),  # follows from the globs
-    GuardedStream: frozenset({"timing", "_stale_since_ns"}),  # estimates and durations for people
+    Guard: frozenset({"clock_text"}),
+    GuardedStream: frozenset({"timing", "_stale_since_ns", "clock_text"}),  # estimates and durations for people
     VolumeAssembler: frozenset({"_state"}),  # a number of its changes, to know whether there was one
 }
 

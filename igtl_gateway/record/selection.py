@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 from igtl_gateway.base.globs import matches
 from igtl_gateway.gateway.log.changes import is_change
+from igtl_gateway.gateway.log.clock_offset import CODES as CLOCK_CODES
 from igtl_gateway.gateway.log.clocksteps import ClockStep
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.fates import REFUSED_COMMANDS
@@ -88,7 +89,9 @@ class StateInputRule:
 
     def by_output(self, entry: Entry) -> bool:
         """Whether an output shows it of its cause."""
-        return entry.kind is Kind.NOTE or (entry.kind is Kind.ROS_OUT and entry.channel in self.topics)
+        if entry.kind is Kind.NOTE:
+            return Note.of(entry.data()).code not in CLOCK_CODES
+        return entry.kind is Kind.ROS_OUT and entry.channel in self.topics
 
     def mixes(self, entry: Entry) -> bool:
         """Whether it is a message of a mixed topic."""

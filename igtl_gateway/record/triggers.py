@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from igtl_gateway.base.errors import ConversionError, DamagedRecording, WireError
@@ -18,10 +18,13 @@ from igtl_gateway.base.quantities import counted
 from igtl_gateway.base.untrusted.decoding import BadBytes, MessageDecoder
 from igtl_gateway.config.triggers import Trigger
 from igtl_gateway.convert.common_msgs import DiagnosticArray, OperatingState
+from igtl_gateway.convert.exchanges import ServiceEvent, action_of, goal_states
 from igtl_gateway.gateway import LINK_DOWN
 from igtl_gateway.gateway.acceptance import DEFAULT_ACCEPTANCE, Acceptance
 from igtl_gateway.gateway.expected import NO_SOURCE
 from igtl_gateway.gateway.guarded_stream import CALM, CODES, FRESH
+from igtl_gateway.gateway.log.clock_offset import PEER_CLOCK_STEP
+from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.marks import MarkNote
 from igtl_gateway.gateway.log.note import STOPPED, Level, Note
@@ -32,6 +35,8 @@ from igtl_gateway.wire.text import Status
 #: Codes of the black box's own notes, which trigger nothing.
 TRIGGERED, SAVED, INCOMPLETE = "trigger", "trigger_saved", "trigger_incomplete"
 _OWN = frozenset({TRIGGERED, SAVED, INCOMPLETE})
+#: Codes of notes about clocks that were set.
+_SET = frozenset({CLOCK_STEP, PEER_CLOCK_STEP})
 _GUARD = CODES - {CALM, FRESH}
 #: Codes of notes about messages that were dropped.
 LOSSES = frozenset(
@@ -41,6 +46,9 @@ LOSSES = frozenset(
 _OK = 1  # of a STATUS
 _ERROR = 2  # of a DiagnosticStatus
 _FAULT = "FAULT"
+_ABORTED = 6  # of a GoalStatus
+#: Of an event of get_result, behind its encapsulation: the id of the goal in the request.
+_GOAL = slice(48, 64)
 #: Conditions that are followed, and streams whose rules are known.
 _MOST = 10_000
 _STEP = re.compile(r"(\w+)((?:\[[0-9]{1,9}\])*)")
@@ -66,11 +74,15 @@ class Cause:
 
 @dataclass(frozen=True, slots=True)
 class _Readers:
-    """What decodes messages, of ROS and of OpenIGTLink, and takes a topic and why it has no value for a rule."""
+    """What decodes messages, of ROS and of OpenIGTLink, and takes a topic and why it has no value for a rule.
+
+    ``asked``: of requests for results, topic, client and number → id of the goal; the last ones.
+    """
 
     ros: MessageDecoder
     igtl: Acceptance
     on_no_value: Callable[[Trigger, str, str], None]
+    asked: dict[tuple[str, bytes, int], bytes] = field(default_factory=dict)
 
 
 class Triggers:
@@ -178,6 +190,12 @@ def _link_down(rule: Trigger, entry: Entry, _read: _Readers) -> _Found:
         yield "", True, note.text
 
 
+def _clock(rule: Trigger, entry: Entry, _read: _Readers) -> _Found:
+    note = _note(entry)
+    if note and note.code in _SET and matches(rule.pattern, str(note.data.get("peer", ""))):
+        yield "", True, note.text
+
+
 def _status(rule: Trigger, entry: Entry, read: _Readers) -> _Found:
     content = read.igtl.message(entry.data()).content
     if isinstance(content, Status):
@@ -194,6 +212,27 @@ def _diagnostics(rule: Trigger, entry: Entry, _read: _Readers) -> _Found:
 def _operating_state(rule: Trigger, entry: Entry, _read: _Readers) -> _Found:
     state = OperatingState.unpack(entry.data()).state
     yield entry.channel, state == _FAULT, f"{entry.channel}: {state}"
+
+
+def _action_aborted(_rule: Trigger, entry: Entry, read: _Readers) -> _Found:
+    action, part = action_of(entry.channel) or ("", "")
+    states = goal_states(entry.data()) if part == "status" else _result_state(entry, read)
+    for goal, status in states:
+        name = goal.hex()
+        yield f"{action} {name}", status == _ABORTED, f"{action}: goal {name[:8]} was aborted"
+
+
+def _result_state(entry: Entry, read: _Readers) -> list[tuple[bytes, int]]:
+    """Return the goal of a response of get_result, and its status; nothing if the goal is not known."""
+    event = ServiceEvent.unpack(entry.data())
+    key = (entry.channel, event.client, event.number)
+    if event.has_request:
+        if len(read.asked) >= _MOST:
+            del read.asked[next(iter(read.asked))]
+        read.asked[key] = bytes(entry.data()[_GOAL])
+    elif event.response and (goal := read.asked.get(key)):
+        return [(goal, event.response[4])]
+    return []
 
 
 def _value(rule: Trigger, entry: Entry, read: _Readers) -> _Found:
@@ -235,6 +274,7 @@ _ROS = frozenset({Kind.ROS_IN, Kind.ROS_OUT})
 #: Kind of a rule → whether it concerns the stream of an entry.
 _CONCERNS: dict[str, Callable[[Trigger, Entry], bool]] = {
     "guard": lambda _, entry: entry.kind in _NOTES,
+    "clock": lambda _, entry: entry.kind in _NOTES,
     "link_down": lambda _, entry: entry.kind is Kind.LINK,
     "loss": lambda _, entry: entry.kind in _NOTES,
     "diagnostics": lambda _, entry: entry.kind is Kind.ROS_IN and entry.type == DiagnosticArray.TYPE,
@@ -244,6 +284,12 @@ _CONCERNS: dict[str, Callable[[Trigger, Entry], bool]] = {
     "operating_state": lambda rule, entry: (
         entry.kind in _ROS and entry.type == OperatingState.TYPE and matches(rule.pattern, entry.channel)
     ),
+    "action_aborted": lambda rule, entry: (
+        entry.kind is Kind.ROS_IN
+        and (named := action_of(entry.channel)) is not None
+        and named[1] in ("status", "get_result")
+        and matches(rule.pattern, named[0])
+    ),
     "value": lambda rule, entry: entry.kind in _ROS and matches(rule.pattern, entry.channel),
     "mark": lambda _, entry: entry.kind is Kind.EDGE_NOTE,
     "note": lambda _, entry: entry.kind in _NOTES or entry.kind is Kind.LINK,
@@ -252,11 +298,13 @@ _CONCERNS: dict[str, Callable[[Trigger, Entry], bool]] = {
 #: Kind of a rule → what it finds in an entry of such a stream.
 _LOOKS: dict[str, Callable[[Trigger, Entry, _Readers], _Found]] = {
     "guard": _of_codes(_GUARD),
+    "clock": _clock,
     "link_down": _link_down,
     "loss": _of_codes(LOSSES),
     "diagnostics": _diagnostics,
     "status": _status,
     "operating_state": _operating_state,
+    "action_aborted": _action_aborted,
     "value": _value,
     "mark": _mark,
     "note": _any_note,

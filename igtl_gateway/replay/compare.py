@@ -49,6 +49,8 @@ _POINTS = frozenset({"geometry_msgs/msg/Point", "geometry_msgs/msg/Point32"})
 _BITS = re.compile(r"(8|16|32|64)([USF])C?[0-9]*$")
 _NOTES = frozenset({Kind.LINK, Kind.EDGE_NOTE, Kind.NOTE})
 _NOTHING = "nothing"
+#: Where random identifiers are: of goals, and of the clients of services.
+_UUID, _CLIENT = "unique_identifier_msgs/msg/UUID", "info.client_gid"
 
 
 class Undecodable(GatewayError):
@@ -229,9 +231,16 @@ class LeafDecoder:
     Args:
         definitions: ROS type → its definition with all dependencies, as in ``ros2msg`` schemas.
         units: the unit of lengths in each stream.
+        ids: random identifiers of goals and clients → what stands for them (`random_ids`).
     """
 
-    def __init__(self, definitions: Mapping[str, str] | None = None, units: StreamUnits | None = None) -> None:
+    def __init__(
+        self,
+        definitions: Mapping[str, str] | None = None,
+        units: StreamUnits | None = None,
+        ids: Mapping[bytes, str] | None = None,
+    ) -> None:
+        self._ids = ids or {}
         self._definitions = definitions or {}
         self._units = units or StreamUnits(Config())
 
@@ -329,6 +338,9 @@ class LeafDecoder:
             yield path, StampValue(value.sec * 1_000_000_000 + value.nanosec)
         elif special:
             yield path, special(value, mm)
+        elif self._ids and (ros_type == _UUID or path.endswith(_CLIENT)):
+            own = bytes(getattr(value, "uuid", value))
+            yield path, self._ids.get(own, own.hex())
         elif ros_type in _ARRAYS:
             parts = {item.name: getattr(value, item.name) for item in dataclasses.fields(value)}
             for name, part in {**parts, **_ARRAYS[ros_type](value, mm)}.items():

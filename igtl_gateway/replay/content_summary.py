@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.base.quantities import duration_text
 from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.gateway.log.clock_offset import Offset
 from igtl_gateway.gateway.log.clocksteps import ClockStep, without_jump
 from igtl_gateway.gateway.log.entry import MESSAGES, Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
@@ -167,6 +168,7 @@ class ContentSummary:
     notes: list[tuple[int, Kind, Note]] = field(default_factory=list)
     problems: Counter[str] = field(default_factory=Counter)
     clocks: dict[int, dict[str, StampTiming]] = field(default_factory=dict)  # link (0: ROS) → stream → its stamps
+    offsets: dict[int, Offset] = field(default_factory=dict)  # link → the last offset that answers have shown
     addresses: dict[int, str] = field(default_factory=dict)
     entries: int = 0
     steps: list[ClockStep] = field(default_factory=list)
@@ -230,5 +232,8 @@ class ContentSummary:
             if timing:
                 stream = next(name for name, one in streams.items() if one is timing)
                 peer = self.addresses.get(link, "ROS" if link == 0 else "")
-                summary.append({"link": link, "peer": peer, "stream": stream, "text": str(timing)} | timing.to_dict())
+                row = {"link": link, "peer": peer, "stream": stream, "text": str(timing)} | timing.to_dict()
+                if offset := self.offsets.get(link):
+                    row["offset"] = offset.to_dict() | {"text": offset.text}
+                summary.append(row)
         return summary

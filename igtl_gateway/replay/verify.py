@@ -25,6 +25,7 @@ from igtl_gateway.convert.igtl_msgs import LinkStatusList, Metadata, RawMessage
 from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.gateway import Session, make_core
 from igtl_gateway.gateway.guard import CODES
+from igtl_gateway.gateway.log.clock_offset import CODES as CLOCK_CODES
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.groups import input_groups
 from igtl_gateway.gateway.log.note import Note
@@ -52,6 +53,8 @@ _COMPARED = ("kind", "channel", "type", "links", "stamp_ns", "source_ns")
 _OUTSIDE = attrgetter(*_COMPARED)
 
 _STREAM_NEWS = "stream"
+#: Codes of notes that depend on inputs from long before.
+_BY_HISTORY = CODES | CLOCK_CODES
 _OTHERS = "(others)"
 
 
@@ -324,8 +327,8 @@ class Verifier:
         return True
 
     def _is_elsewhere(self, entry: Entry) -> bool:
-        """Return whether an output is a note of the guard in a part of a session."""
-        return self._partial and entry.kind is Kind.NOTE and Note.of(entry.data()).code in CODES
+        """Return whether an output is a note of the guard, or of a peer's clock, in a part of a session."""
+        return self._partial and entry.kind is Kind.NOTE and Note.of(entry.data()).code in _BY_HISTORY
 
     def _differ(self, entry: Entry, recorded: str, computed: str) -> None:
         self._report.add(Difference(entry.seq, self._cause, _name(entry), "message", recorded, computed))

@@ -39,6 +39,7 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.transform import Transform
+from tests import exchanges
 from tests.files import BytesRead
 from tests.places import FIXTURES
 from tests.script import Script
@@ -626,3 +627,13 @@ def test_messages_of_two_peers_with_one_device_are_told_apart(tmp_path: Path) ->
             assert len(igtl_gateway.align([recording["TRANSFORM/Tool@2"]], on=recording["TRANSFORM/Tool@1"]).times) == 5
         with pytest.raises(KeyError, match="Toool"):
             recording["TRANSFORM/Toool@1"]
+
+
+def test_services_and_actions_are_streams(tmp_path: Path) -> None:
+    """Messages have the fields of rosidl; an event has a request, a response or none of them."""
+    with igtl_gateway.open(exchanges.write(tmp_path / "a.mcap")) as session:
+        events = [each.content for each in session["/arm/enable/_service_event"].messages()]
+        feedback = session["/fib/_action/feedback"]
+        assert [len(each.content.feedback.sequence) for each in feedback.messages()] == [3, 4] * 4
+    assert [(len(each.request), len(each.response)) for each in events[:4]] == [(1, 0), (1, 0), (0, 1), (0, 1)]
+    assert (events[0].request[0].data, events[2].response[0].message) == (True, "on")

@@ -9,12 +9,16 @@ import pytest
 
 from igtl_gateway.app.bridge import Bridge
 from igtl_gateway.app.bridge_options import BridgeOptions
-from igtl_gateway.app.status import BridgeStatus
+from igtl_gateway.app.status import BridgeStatus, clock_of
 from igtl_gateway.base.clock import ManualClock
-from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.rates import RATES_OVER_S
+from igtl_gateway.gateway.log.timing import StampTiming
+from igtl_gateway.wire import Message
+from igtl_gateway.wire.transform import Transform
+from tests.gateway.dialogue.test_clocks import Asked
 
 
 @dataclass
@@ -62,3 +66,33 @@ def test_a_defect_of_the_status_is_told_and_ends_nothing(monkeypatch: pytest.Mon
     assert status.facts == whole
     assert status.failure == ""
     bridge.stop()
+
+
+def test_the_clock_of_a_peer_is_known_by_its_answers_else_by_its_stamps_from_below() -> None:
+    asked = Asked(3 * NS_PER_S)
+    core, link = asked.gateway._gateway, asked.link
+    assert clock_of(core, link, asked.gateway.now_ns) is None
+    matrix = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    for age_ms in (9, 4, 7):
+        ticks = ns_to_ticks(asked.gateway.now_ns + asked.offset_ns - age_ms * NS_PER_MS)
+        asked.gateway.from_peer(Message("TRANSFORM", "Probe", Transform(matrix), ticks), link)
+        asked.gateway.advance(1)
+    one_way = clock_of(core, link, asked.gateway.now_ns)
+    assert one_way and (one_way["low_ns"], one_way["high_ns"]) == (3 * NS_PER_S - 4 * NS_PER_MS, None)
+    assert one_way["text"] == "clock ahead by ≥ +3 s, by its stamps"
+    asked.exchange()
+    two_way = clock_of(core, link, asked.gateway.now_ns)
+    assert two_way and two_way.keys() == one_way.keys() and two_way["method"] == "two-way"
+    assert two_way["low_ns"] <= 3 * NS_PER_S <= two_way["high_ns"]
+
+
+def test_a_lower_bound_is_of_the_last_seconds() -> None:
+    timing, found = StampTiming(), list[int | None]()
+    found.append(timing.ahead_ns)
+    for second in range(100):
+        timing.add(10**18 + second * NS_PER_S, 10**18 + second * NS_PER_S + second * NS_PER_MS)
+    found.append(timing.ahead_ns)
+    timing.add(10**18 + 10_000 * NS_PER_S, 10**18 + 10_000 * NS_PER_S + 500 * NS_PER_MS)
+    found.append(timing.ahead_ns)  # hours later
+    timing.reset()
+    assert [*found, timing.ahead_ns] == [None, -80 * NS_PER_MS, -500 * NS_PER_MS, None]

@@ -22,7 +22,7 @@ EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"][
 MODULES = {
     "ros": "rclpy", "zenoh": "zenoh", "view": "rerun", "video": "av", "nifti": "nibabel", "plot": "matplotlib",
     "pcap": "pcapng", "hdf5": "h5py", "arrow": "pyarrow", "pandas": "pandas", "lerobot": "av", "cohort": "pyarrow",
-    "seal": "cryptography",
+    "seal": "cryptography", "websocket": "wsproto",
 }  # fmt: skip
 
 
@@ -89,6 +89,7 @@ WITHOUT = [
     ("cryptography", f"seal {STAR} --key OUT.key -o OUT.mcap", "seal"),
     ("zenoh", "bridge --ros zenoh --listen 127.0.0.1:0 --duration 0.1", "zenoh"),
     ("zenoh", "zenoh-router", "zenoh"),
+    ("wsproto", "bridge --no-ros --listen ws://127.0.0.1:0 --duration 0.1", "websocket"),
     ("rclpy", f"replay {STAR} --to ros", "ros"),
     ("rclpy", "bridge --listen 127.0.0.1:0 --duration 0.1", "ros"),
     ("av", "bridge --listen 127.0.0.1:0 --video-codec h264 --duration 0.1", "video"),

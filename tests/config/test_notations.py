@@ -18,6 +18,8 @@ def test_addresses() -> None:
     assert (peer_address("tls://[::1]:7"), peer_address("tls://[::1]:7").scheme) == (("::1", 7), "tls")
     assert (peer_address("tcp://:7"), peer_address("tcp://:7").scheme) == (("127.0.0.1", 7), "tcp")
     assert (peer_address("10.0.0.1"), peer_address("10.0.0.1").scheme) == (("10.0.0.1", 18944), "")
+    schemes = ["ws", "wss", "tls"]
+    assert [notations.listen_address(f"{scheme}://:7").scheme for scheme in schemes] == schemes
     assert notations.address("[::1]") == ("::1", 18944)
 
 
@@ -27,6 +29,7 @@ def test_addresses() -> None:
         (notations.network, "192.168.7.0/24", "192.168.7.0/24"),
         (notations.network, "any", "any"),
         (notations.size_by_type, "GET_*=0.5", ("GET_*", 1 << 19)),
+        *((notations.origin, each, each) for each in ("*", "null", "http://[::1]:80", "https://a.b")),
         (notations.type_glob, "GET_*", "GET_*"),
         (notations.key_value, "operator=A=B", ("operator", "A=B")),
         (notation.ros_middleware, "dds", None),
@@ -49,6 +52,17 @@ def test_what_is_read(read: Callable[[str], object], text: str, value: object) -
     [
         (notations.address, ("a:70000", "a:b", ":-1"), "HOST:PORT with a port from 0 to 65535"),
         (peer_address, ("http://a:1",), "tls://HOST:PORT, tcp://HOST:PORT or HOST:PORT"),
+        (peer_address, ("ws://a:1",), "ws:// only where peers connect: --listen"),
+        (
+            notations.listen_address,
+            ("http://a:1",),
+            "tls://HOST:PORT, tcp://HOST:PORT, ws://HOST:PORT, wss://HOST:PORT",
+        ),
+        (
+            notations.origin,
+            ("viewer", "http://", "http://a/", "ftp://a", "http://a:b", "https://a b", ""),
+            "an origin such as https://viewer.clinic:8443, null or *",
+        ),
         (notations.network, ("all", "10.0.0.0/64", ""), "a network such as 192.168.7.0/24, or any"),
         (notations.size_by_type, ("STRING", "STRING=", "=4", "STRING=-1", "STRING=nan", "STRING=inf"), "TYPE=MIB"),
         (notations.type_glob, ("", "A B", "É", "A/B"), "a type or a glob such as COMMAND, GET_*"),

@@ -113,5 +113,11 @@ def test_a_rule_is_shown_without_its_usual_pattern() -> None:
 
 
 def test_kinds_with_a_pattern_of_topics_are_recorded_therefore() -> None:
-    assert {name for name, row in KINDS.items() if row.is_topic} == {"operating_state", "value"}
+    assert {name: row.topics.format("/a*") for name, row in KINDS.items() if row.topics} == {
+        "diagnostics": "/diagnostics",
+        "operating_state": "/a*",
+        "action_aborted": "/a*/_action/**",
+        "value": "/a*",
+    }
+    assert {name for name, row in KINDS.items() if row.only_ros} == {"diagnostics", "action_aborted"}
     assert {name for name, row in KINDS.items() if not row.pattern} == {"value", "note"}

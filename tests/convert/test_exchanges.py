@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import struct
+from contextlib import suppress
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.exchanges import (
@@ -12,6 +15,7 @@ from igtl_gateway.convert.exchanges import (
     RESPONSE_RECEIVED,
     ServiceEvent,
     action_of,
+    feedback_goal,
     goal_states,
     service_of,
 )
@@ -37,9 +41,11 @@ def test_names(topic: str, names: tuple[str, tuple[str, str] | None]) -> None:
 
 def test_an_event_in_both_byte_orders() -> None:
     asked = exchanges.event(REQUEST_SENT, 5, 7, request=b"\1", client=b"c" * 16)
-    assert ServiceEvent.unpack(asked) == ServiceEvent(0, exchanges.START_NS + 5, b"c" * 16, 7, True, None)
+    assert ServiceEvent.unpack(asked) == ServiceEvent(
+        0, exchanges.START_NS + 5, b"c" * 16, 7, True, b"\1" + bytes(7), None
+    )
     big = b"\0\0\0\0" + struct.pack(">B3xiI16s4xqIIb", 3, 2, 9, b"c" * 16, 7, 0, 1, 4)
-    assert ServiceEvent.unpack(big) == ServiceEvent(3, 2_000_000_009, b"c" * 16, 7, False, b"\0\0\0\0\4")
+    assert ServiceEvent.unpack(big) == ServiceEvent(3, 2_000_000_009, b"c" * 16, 7, False, b"", b"\0\0\0\0\4")
     without = ServiceEvent.unpack(exchanges.event(RESPONSE_RECEIVED, 0, 1))
     assert (without.has_request, without.response) == (False, None)  # introspection of metadata only
 
@@ -67,3 +73,10 @@ def test_the_states_of_goals() -> None:
     for cut in (exchanges.states(given)[:-1], exchanges.HEAD, b"\0\1\0\0\xff\xff\xff\xff", b""):
         with pytest.raises(ConversionError, match=r"found .*, expected"):
             goal_states(cut)
+
+
+@given(st.binary(max_size=120), st.sampled_from([b"", exchanges.HEAD, b"\0\0\0\0"]))
+def test_any_bytes_are_read_or_refused(data: bytes, head: bytes) -> None:
+    for read in (ServiceEvent.unpack, goal_states, feedback_goal):
+        with suppress(ConversionError):
+            read(head + data)

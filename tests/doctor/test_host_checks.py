@@ -43,6 +43,7 @@ GOOD = HostFacts(
     synchronised=True,
     ptp_clocks=2,
     quota=float("inf"),
+    middleware={"rmw_fastrtps_cpp": (8, 4, 3)},
 )
 MEASURED = HostMeasurement(Delays(60_000, 120_000, 900_000), Delays(4_000, 12_000, 80_000), 0.001)
 
@@ -74,6 +75,12 @@ BAD: list[tuple[str, dict[str, Any], str]] = [
     ("W922", {"synchronised": False}, "not synchronised; 2 PTP clocks"),
     ("W922", {"synchronised": False, "ptp_clocks": 0}, "not synchronised"),
     ("W923", {"quota": 1.5}, "quota of 1.5 CPUs"),
+    (
+        "W926",
+        {"middleware": {"rmw_fastrtps_cpp": (9, 4, 10)}},
+        "rmw_fastrtps_cpp 9.4.10: messages with uint8[] (pictures, clouds) from ROS nodes do not reach the bridge "
+        "(ros2/rmw_fastrtps#881)",
+    ),
 ]
 
 #: Facts that a system might not show, and the checks that are then unknown.
@@ -98,6 +105,7 @@ HIDDEN: dict[str, Any] = {
     "clock_source": None,
     "synchronised": None,
     "quota": None,
+    "middleware": {},
 }
 
 

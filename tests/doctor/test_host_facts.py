@@ -57,6 +57,7 @@ QUIET = {
     "sys/fs/cgroup/user.slice/bridge/cpu.max": "150000 100000\n",
     "sys/class/ptp/ptp0/clock_name": "igb\n",
     "dev/cpu_dma_latency": "\x14\0\0\0",
+    "share/rmw_fastrtps_cpp/package.xml": "<package><version>9.4.8</version></package>",
 }
 
 
@@ -69,9 +70,10 @@ def system(root: Path, files: dict[str, str]) -> Path:
 
 
 def facts(root: Path, files: dict[str, str]) -> HostFacts:
-    return read_facts(
-        system(root, files), lambda: True, lambda folder: 64 << 20 if folder == root / "dev/shm" else None
-    )
+    def free(folder: Path) -> int | None:
+        return 64 << 20 if folder == root / "dev/shm" else None
+
+    return read_facts(system(root, files), lambda: True, free, (root,))
 
 
 def test_all_facts(tmp_path: Path) -> None:
@@ -106,12 +108,15 @@ def test_all_facts(tmp_path: Path) -> None:
         synchronised=True,
         ptp_clocks=1,
         quota=1.5,
+        middleware={"rmw_fastrtps_cpp": (9, 4, 8)},
     )
 
 
 def test_an_empty_system_has_no_facts(tmp_path: Path) -> None:
-    found = read_facts(tmp_path, lambda: None)
-    assert {getattr(found, name) for name in HostFacts.__slots__} == {"", None, (), frozenset(), 0}
+    found = read_facts(tmp_path, lambda: None, ros=())
+    assert found.middleware == {}
+    rest = {getattr(found, name) for name in HostFacts.__slots__ if name != "middleware"}
+    assert rest == {"", None, (), frozenset(), 0}
 
 
 @pytest.mark.parametrize(

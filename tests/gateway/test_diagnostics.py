@@ -117,12 +117,16 @@ def test_peers_and_the_recorder_have_statuses() -> None:
     told = Told(Config(watch=True))
     told.script.up(1)
     told.script.igtl(pose(told.script.now_ns + NS_PER_S))
-    told.peers = [PeerFacts(1, "10.0.0.1:5", "server", sent=7), PeerFacts(2, "10.0.0.2:5", "client", dropped=3)]
+    told.peers = [
+        PeerFacts(1, "10.0.0.1:5", "server", sent=7, clock_offset="+1 ms"),
+        PeerFacts(2, "10.0.0.2:5", "client", dropped=3),
+    ]
     told.recorder = {"dropped_entries": 0, "written_entries": 5, "failure": ""}
     by_name = told()
     one, two = by_name["igtl_gateway: peer 1 10.0.0.1:5"], by_name["igtl_gateway: peer 2 10.0.0.2:5"]
     assert (one.level, one.hardware_id, two.level) == (WARN, "10.0.0.1:5", ERROR)
     assert "999 ms ahead of this clock" in dict(one.values)["clock"] and dict(one.values)["sent"] == "7"
+    assert dict(one.values)["clock_offset"] == "+1 ms" and "clock_offset" not in dict(two.values)
     assert by_name["igtl_gateway: recorder"].level == OK
     told.recorder = {"dropped_entries": 2, "written_entries": 5, "failure": ""}
     by_name = told()

@@ -24,6 +24,18 @@ CONFIG = Config(
 )
 
 
+def test_a_service_without_events_has_its_reason() -> None:
+    (missing,) = missing_sources(expected_sources(Config(), ["/arm/enable/_service_event"]), PresentSources(topics=()))
+    why = "no publisher: the service is not there, or its introspection is off"
+    assert missing.text == f"topic /arm/enable/_service_event: {why} (--record-topics)"
+
+
+def test_the_name_of_a_service_or_an_action_leads_to_its_topics() -> None:
+    topics = ["/arm/enable/_service_event", "/fib/_action/status", "/fi"]
+    found = missing_sources(expected_sources(Config(), ["/arm/enable", "/fib"]), PresentSources(topics=topics))
+    assert [each.near for each in found] == ["/arm/enable/_service_event", "/fib/_action/**"]
+
+
 def test_each_name_is_expected_and_a_pattern_of_everything_is_not() -> None:
     found = [
         (each.kind, each.name, each.setting)
@@ -53,7 +65,7 @@ NAME_NO_SOURCE = frozenset(
     file_mode record_all custom_data outputs compression flush_interval fsync record_wait split_size split_duration
     seal retention on_record_failure video_codec video_bit_rate video_key_interval realtime_priority lock_memory
     cpu_affinity diagnostics watch metrics faults fault_seed upload upload_rate patience ros site site_budget
-    snapshot native no_native page page_address view""".split()
+    snapshot native no_native page page_address view allow_origin""".split()
 )
 ROW_FIELDS = {
     "to_igtl": ("device", "type", "metadata"),

@@ -61,8 +61,10 @@ def test_a_stale_stream_is_reported_at_its_begin_and_its_end() -> None:
     stream = watched(0.5)
     _, (remark,) = stream.judge(T0, T0 - 2 * S)
     assert remark == (
-        Level.ERROR, STALE, "TRANSFORM/Tool is stale: messages are 2 s old, expected at most 500 ms",
-    )  # fmt: skip
+        Level.ERROR,
+        STALE,
+        "TRANSFORM/Tool is stale: messages are 2 s old by the sender's clock, expected at most 500 ms",
+    )
     assert stream.judge(T0 + 1, T0 - 2 * S) == (True, [])
     assert stream.judge(T0 + 1500 * NS_PER_MS, T0 + 1500 * NS_PER_MS) == (
         False,
@@ -142,7 +144,7 @@ def test_stamps_in_the_future(ahead_ms: int, odd: bool) -> None:
     found = stream.observe(T0, T0 + ahead_ms * NS_PER_MS)
     assert [code for _, code, _ in found] == ([FUTURE] if odd else [])
     if odd:
-        assert "stamps are 101 ms in the future; synchronise the clocks (NTP, PTP)" in found[0][2]
+        assert "stamps are 101 ms in the future by the sender's clock; synchronise the clocks (NTP, PTP)" in found[0][2]
     behind = watched()
     behind.ahead_ns = S  # gateway time is ahead of the clock that stamps are compared with
     assert codes(behind, T0 + S, T0 + ahead_ms * NS_PER_MS) == ([FUTURE] if odd else [])

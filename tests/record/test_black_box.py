@@ -38,6 +38,7 @@ from tests.record.notes import TimelessNotes
 from tests.record.test_parts import RULE, session, wait_until
 from tests.record.test_recorder import workers
 from tests.tables import table
+from tools.evidence import aborted_goals
 from tools.evidence.trigger_worlds import QUICK, run
 
 NS = 1_000_000_000
@@ -489,3 +490,9 @@ def test_a_file_whose_time_is_over_lacks_nothing_also_where_the_rest_is_not_reco
     message = samples.igtl_bytes("TRANSFORM", "Left", 1, bytes(48))
     found.saw(Entry(last.seq + 2, last.stamp_ns + 100 * NS, Kind.IGTL_IN, "TRANSFORM/Left", "TRANSFORM", (message,)))
     assert [note.code for note in notes] == [TRIGGERED, SAVED]
+
+
+@table(("aborts", "seed"), [(100, 1), (1_000, 2)], gate=lambda aborts, seed: aborts < 1_000)
+def test_an_aborted_goal_has_one_file_with_what_led_to_it(aborts: int, seed: int) -> None:
+    found = aborted_goals.run(aborts, seed)
+    assert (found.wrong, found.whole, found.aborts) == ([], aborts, aborts)

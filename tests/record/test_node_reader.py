@@ -24,6 +24,7 @@ from rosbags.typesys.store import Typestore
 
 from igtl_gateway.addons.exchange.targets import export_to
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from tests import exchanges
 from tests.places import FIXTURES
 from tests.tables import table
 from tests.test_fixtures import NAMES
@@ -46,6 +47,13 @@ def test_every_message_is_parsed(name: str) -> None:
             expected[channel.topic] += channel.count
     assert counts == expected
     assert_same(samples, path)
+
+
+def test_services_and_actions_are_parsed(tmp_path: Path) -> None:
+    """rosbags has no decoder of events beside it: it knows their types by other names."""
+    counts, _ = by_foxglove(exchanges.write(tmp_path / "a.mcap"))
+    with SessionFile.open(tmp_path / "a.mcap") as file:
+        assert counts == {channel.topic: channel.count for channel in file.channels}
 
 
 @table("name", NAMES)

@@ -7,6 +7,7 @@ import numpy as np
 from igtl_gateway.base.buffers import join
 from igtl_gateway.config.triggers import KINDS, trigger
 from igtl_gateway.convert.common_msgs import DiagnosticArray, JointState, OperatingState, WrenchStamped
+from igtl_gateway.convert.exchanges import REQUEST_RECEIVED, RESPONSE_SENT
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header
 from igtl_gateway.gateway.expected import NO_SOURCE
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -16,6 +17,8 @@ from igtl_gateway.record.sessionfile.schemas import RosTypes
 from igtl_gateway.record.triggers import _CONCERNS, _LOOKS, INCOMPLETE, LOSSES, SAVED, TRIGGERED, Triggers
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import Status
+from tests.calls import fibonacci, status
+from tests.exchanges import ACTION_TYPE, event
 from tests.tables import table
 
 
@@ -44,6 +47,21 @@ def _force(z: float) -> Entry:
     return _ros("/force", WrenchStamped.TYPE, WrenchStamped(Header(), (0.0, 0.0, z, 0.0, 0.0, 0.0)).pack())
 
 
+_A, _B = bytes(range(16)), bytes(range(1, 17))
+
+
+def _goals(*states: tuple[bytes, int]) -> Entry:
+    return _ros("/arm/drive/_action/status", "action_msgs/msg/GoalStatusArray", status(*states))
+
+
+def _result(kind: int, number: int, content: bytes, client: bytes = b"one") -> Entry:
+    contents = {"request": content} if kind < RESPONSE_SENT else {"response": content}
+    topic = "/arm/drive/_action/get_result/_service_event"
+    return _ros(topic, f"{ACTION_TYPE}_GetResult_Event", event(kind, 7, number, client=client, **contents))
+
+
+_ASKED, _GIVEN = _result(REQUEST_RECEIVED, 3, _A), _result(RESPONSE_SENT, 3, b"\6\0\0\0" + fibonacci(1))
+
 VALUE = "value=/force,field=wrench.force.z,above=5"
 
 
@@ -53,6 +71,8 @@ VALUE = "value=/force,field=wrench.force.z,above=5"
         ("guard", [_note("stamp_backwards", Kind.NOTE, "TRANSFORM/a"), _note("calm"), _note("bad_crc")], [0]),
         ("guard=*/b", [_note("stale", Kind.NOTE, "TRANSFORM/a"), _note("stale", Kind.NOTE, "TRANSFORM/b")], [1]),
         ("link_down", [_note("link_up", Kind.LINK, peer="1.2.3.4:5"), _note("link_down", Kind.LINK, peer="a:5")], [1]),
+        ("clock", [_note("peer_clock", peer="a:5"), _note("peer_clock_step", peer="a:5"), _note("clock_step")], [1, 2]),
+        ("clock=10.0.*", [_note("peer_clock_step", peer=each) for each in ("10.0.0.7:5", "10.1.0.7:5")], [0]),
         ("link_down=1.2.*", [_note("link_down", Kind.LINK, peer="1.2.3.4:5"), _note("link_down", Kind.LINK)], [0]),
         ("link_down", [_note("link_down", Kind.LINK, reason=each) for each in ("stopped", "closed by the peer")], [1]),
         ("loss", [_note("queue_drop"), _note("tick"), _note("ros_lost")], [0, 2]),
@@ -62,6 +82,17 @@ VALUE = "value=/force,field=wrench.force.z,above=5"
         ("status=Other", [_status(13)], []),
         ("operating_state", [_state("ENABLED"), _state("FAULT"), _state("FAULT")], [1]),
         ("operating_state=/PSM2/*", [_state("FAULT")], []),
+        ("action_aborted", [_goals((_A, 2)), _goals((_A, 6)), _goals((_A, 6), (_B, 2)), _goals((_A, 6), (_B, 4))], [1]),
+        ("action_aborted", [_goals((_A, 6)), _goals((_A, 6), (_B, 6)), _goals(), _goals((_B, 6))], [0, 1]),
+        ("action_aborted", [_goals((_A, 6), (_B, 6))], [0, 0]),
+        ("action_aborted=/arm/drive", [_goals((_A, 5)), _goals((_A, 6))], [1]),
+        ("action_aborted=/arm/*,after=1", [_goals((_A, 6))], [0]),
+        ("action_aborted=/drive", [_goals((_A, 6)), _ASKED, _GIVEN], []),
+        ("action_aborted", [_ASKED, _GIVEN], [1]),
+        ("action_aborted", [_ASKED, _result(RESPONSE_SENT, 3, b"")], []),
+        ("action_aborted", [_ASKED, _goals((_A, 6)), _GIVEN, _GIVEN], [1]),
+        ("action_aborted", [_GIVEN, _result(RESPONSE_SENT, 4, b"\6\0\0\0" + fibonacci()), _ASKED], []),
+        ("action_aborted", [_ASKED, _result(RESPONSE_SENT, 3, b"\6", b"two"), _result(RESPONSE_SENT, 3, b"\4")], []),
         (VALUE, [_force(5), _force(5.5), _force(9), _force(1), _force(6)], [1, 4]),
         ("value=/force,field=wrench.force.z,below=-1,above=1", [_force(0), _force(-2)], [1]),
         ("value=/force,field=wrench.nothing,above=1", [_force(9)], []),
@@ -90,9 +121,9 @@ def test_a_code_stands_once(rule: str, why: str) -> None:
 
 
 def test_bytes_that_are_not_of_the_type_trigger_nothing() -> None:
-    rules = tuple(map(trigger, ("diagnostics", "status", "operating_state", VALUE)))
+    rules = tuple(map(trigger, ("diagnostics", "status", "operating_state", "action_aborted", VALUE)))
     triggers = Triggers(rules, RosTypes())
-    for entry in (_diagnostics(2), _status(2), _state("FAULT"), _force(9)):
+    for entry in (_diagnostics(2), _status(2), _state("FAULT"), _goals((_A, 6)), _ASKED, _force(9)):
         short = Entry(1, 7, entry.kind, entry.channel, entry.type, (bytes(join(entry.payload))[:-9],))
         assert not triggers.look(short)
 
@@ -155,6 +186,7 @@ def test_several_rules_look_at_one_entry() -> None:
         (_diagnostics(2), "diagnostics", "motor: hot"),
         (_status(13), "status", "STATUS/Arm: code 13, "),
         (_state("FAULT"), "operating_state", "/PSM1/operating_state: FAULT"),
+        (_goals((_B, 4), (_A, 6)), "action_aborted", "/arm/drive: goal 00010203 was aborted"),
         (_force(5.5), VALUE, "/force wrench.force.z: 5.5"),
     ],
 )
@@ -225,6 +257,7 @@ def test_losses_are_codes_of_notes() -> None:
         ("diagnostics", _diagnostics(2)),
         ("status", _status(13)),
         ("operating_state", _state("FAULT")),
+        ("action_aborted", _goals((_A, 6))),
         (VALUE, _force(6)),
         ("mark=slip", _note("mark", label="slip")),
     ],
@@ -237,6 +270,14 @@ def test_a_trigger_is_of_the_moment_of_its_entry(rule: str, entry: Entry) -> Non
 def test_a_mark_of_the_past_is_of_its_own_moment() -> None:
     (cause,) = Triggers((trigger("mark=slip"),), RosTypes()).look(_note("mark", label="slip", ago_ns=5))
     assert (cause.at_ns, cause.noted_ns) == (2, 7)
+
+
+def test_requests_for_results_are_forgotten_at_a_bound() -> None:
+    triggers = Triggers((trigger("action_aborted"),), RosTypes())
+    for number in range(10_001):
+        triggers.look(_result(REQUEST_RECEIVED, number, _A))
+    assert not triggers.look(_result(RESPONSE_SENT, 0, b"\6"))
+    assert triggers.look(_result(RESPONSE_SENT, 1, b"\6"))
 
 
 def test_of_ten_thousand_conditions_each_is_followed_and_no_further_one() -> None:

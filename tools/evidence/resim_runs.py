@@ -33,7 +33,7 @@ from igtl_gateway.addons.resim.igtl_peer import IgtlRole
 from igtl_gateway.addons.resim.processes import Process
 from igtl_gateway.addons.resim.verdict import compare, is_judged
 from igtl_gateway.cli import main as gateway
-from tests.addons.resim import sessions, test_igtl_peer
+from tests.addons.resim import sessions, test_coordinator, test_igtl_peer
 from tests.addons.resim.runs import PROGRAMS, compiled, program
 from tests.peers import reference
 from tests.places import FIXTURES
@@ -99,6 +99,10 @@ def texts(count: int) -> Callable[[Path], Path]:
     return lambda path: sessions.write(path, sessions.texts(count))
 
 
+def goals(path: Path) -> Path:
+    return test_coordinator.record_action(path, test_coordinator.recorded_goals(), 20)
+
+
 def transforms(path: Path) -> Path:
     rows = [(ns, "/tf", sessions.TF, sessions.transforms(each)) for ns, _, _, each in sessions.poses(600)]
     return sessions.write(path, rows)
@@ -155,6 +159,7 @@ def rows() -> list[Row]:
             Row("service", texts(25), named("caller", "switch"), ResimOptions(latency_ns=1_000_000)),
             Row("action, several threads", texts(12), named("fibonacci server", "fibonacci client")),
             Row("action, one thread", texts(12), named("fibonacci server single", "fibonacci client single")),
+            Row("action that only the recording has", goals, named("fibonacci client"), ResimOptions(lead_ns=10**9)),
             Row("C on rcl", texts(400), in_c),
         ]
         as_they_are = ResimOptions(lead_ns=1_000_000_000, clocks=Clocks.SESSION)

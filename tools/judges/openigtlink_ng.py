@@ -39,26 +39,40 @@ from igtl_gateway.wire import Item, Message, decode, encode
 from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway.wire.registry import BODIES
+from igtl_gateway.wire.transform import Transform
 from tests import strategies
 from tools.judges import results
 from tools.judges.ng_deviations import Case, explained
 from tools.judges.ng_values import random_words, words_of
-from tools.judges.results import DIFFERS, EXACT, FAILS, Row
+from tools.judges.results import CANNOT, DIFFERS, EXACT, FAILS, Row
 
 PROGRAMS = Path(__file__).with_name("programs")
 #: Messages of a type that are drawn at a time.
 ROUND = 300
 SIZE = struct.Struct(">I")
+#: Bytes of a message in the data of tests.
+SHORT = 1_200
+#: Where its vectors are read; other directions are a language and what it does.
+HERE = "here"
 Schemas = dict[str, list[dict[str, Any]]]
 
 
 class Codec:
-    """A program that reads and writes."""
+    """A program that reads and writes.
 
-    def __init__(self, name: str, command: Sequence[str], folder: Path, *, has_new: bool) -> None:
-        self.name, self.has_new = name, has_new
+    Attributes:
+        row: of what it writes of header version 2: nothing, or a message that is read here.
+    """
+
+    def __init__(self, name: str, command: Sequence[str], folder: Path) -> None:
+        self.name = name
         # the one in Python looks for its schemas from where it is
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=folder)
+        message = Message("TRANSFORM", "Tool", Transform((1.0,) * 12), 5, 2, 7)
+        _, data, error = self.ask(b"e", [words_of(message).encode()])[0]
+        result = EXACT if data == join(encode(message)) else CANNOT if error else FAILS
+        text = "its envelopes have no extended header: what is around the content is kept" * (result == CANNOT)
+        self.row = Row("header version 2", f"{name} writes", result, 1, text)
 
     def ask(self, kind: bytes, payloads: Sequence[bytes]) -> list[tuple[str, bytes, str]]:
         """Words, bytes and error of each; all are sent before the first is awaited."""
@@ -164,7 +178,10 @@ def reads(codec: Codec, messages: Sequence[Message]) -> Iterator[Case]:
 
 def writes(codec: Codec, kind: str, schemas: Schemas, rng: Random, count: int) -> Iterator[Case]:
     """What is written there, read here."""
-    wanted = [random_words(rng, kind, schemas[kind], is_new=codec.has_new and rng.random() < 0.5) for _ in range(count)]
+    wanted = [
+        random_words(rng, kind, schemas[kind], is_new=codec.row.result == EXACT and rng.random() < 0.5)
+        for _ in range(count)
+    ]
     for words, (_, data, error) in zip(wanted, codec.ask(b"e", [one.encode() for one in wanted]), strict=True):
         case = Case(codec.name, False, kind, data, words, error=error)
         yield case if error else _read_here(case)
@@ -188,7 +205,7 @@ class Tally:
         self.exact: Counter[tuple[str, str]] = Counter()
         self.differs: Counter[tuple[str, str]] = Counter()
         self.unexplained: Counter[tuple[str, str]] = Counter()
-        self.log = log.open("w", encoding="utf-8")
+        self.log = log
 
     def add(self, case: Case) -> None:
         if case.is_equal:
@@ -199,7 +216,8 @@ class Tally:
             self.unexplained[case.type, case.direction] += 1
             if self.unexplained[case.type, case.direction] <= 20:
                 shown = {**vars(case), "data": case.data.hex(), "again": case.again.hex()}
-                print(json.dumps(shown), file=self.log, flush=True)
+                with self.log.open("a", encoding="utf-8") as file:
+                    print(json.dumps(shown), file=file)
 
     def rows(self) -> list[Row]:
         rows = [Row(what, direction, EXACT, cases) for (what, direction), cases in sorted(self.exact.items())]
@@ -225,6 +243,48 @@ def judge(codecs: Sequence[Codec], schemas: Schemas, count: int, seed: int, log:
         total = sum((tally.exact + tally.differs + tally.unexplained).values())
         print(f"{total} messages, {tally.differs.total()} explained, {tally.unexplained.total()} not", file=sys.stderr)
     return tally.rows()
+
+
+def agreed(codecs: Sequence[Codec], schemas: Schemas, seed: int) -> Iterator[dict[str, str]]:
+    """For tests: a short message of each schema which all codecs write alike, and which is read alike here."""
+    for kind in sorted(schemas):
+        for number in range(100):
+            words = random_words(Random(f"{seed} {kind} {number}"), kind, schemas[kind], is_new=False)
+            data, *others = (codec.ask(b"e", [words.encode()])[0][1] for codec in codecs)
+            if all(other == data for other in others) and len(data) < SHORT and words_of(decode(data)) == words:
+                yield {"message": data.hex(), "words": words}
+                break
+
+
+#: Why a vector that it refuses is read here.
+READ_HERE = {
+    "content_bind_nametable_size_odd": "the C++ library does not pad its table of names: read here, and written again"
+}
+
+
+def vectors(folder: Path) -> list[Row]:
+    """Its own vectors: those of the C library's tests, and those that no reader may accept."""
+    corpus = folder / "spec" / "corpus"
+    fixtures = json.loads((corpus / "upstream-fixtures.json").read_text("utf-8"))["fixtures"]
+    good = [bytes.fromhex(one["wire_hex"]) for one in fixtures.values()]
+    equal = sum(join(encode(decode(data))) == data for data in good)
+    rows = [Row("vectors of the C library, read and written again", HERE, EXACT, equal)]
+    rows += [Row("vectors of the C library", HERE, FAILS, len(good) - equal)] * (equal < len(good))
+    index = json.loads((corpus / "negative" / "index.json").read_text("utf-8"))["entries"]
+    read = [name for name, one in index.items() if _is_read((corpus / "negative" / one["path"]).read_bytes())]
+    rows.append(Row("vectors that must be refused", HERE, EXACT, len(index) - len(read)))
+    for name in read:
+        result = DIFFERS if name in READ_HERE else FAILS
+        rows.append(Row("vectors that must be refused", HERE, result, 1, READ_HERE.get(name, name)))
+    return rows
+
+
+def _is_read(data: bytes) -> bool:
+    try:
+        decode(data)
+    except WireError:
+        return False
+    return True
 
 
 # -- programs ---------------------------------------------------------------------------------------------------------
@@ -268,47 +328,71 @@ def compiled(folder: Path, target: Path) -> Path:
     return program
 
 
-def missing(folder: Path, python: Path) -> Iterator[str]:
-    """What a person must build first."""
-    wanted = {
-        folder / "spec/schemas/transform.json": "a copy of openigtlink-ng",
-        folder / "core-ts/dist/codec.js": "core-ts, built (npm run build)",
-        folder / "core-cpp/build/liboigtl_ergo.a": "core-cpp, built with CMake in core-cpp/build",
-        python: "a Python that imports oigtl and numpy",
-    }
-    return (f"found no {path}, expected {what}" for path, what in wanted.items() if not path.is_file())
+def arguments(what: str) -> argparse.ArgumentParser:
+    """The options of every judge of openigtlink-ng."""
+    parser = argparse.ArgumentParser(description=what, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--program", type=Path, required=True, help="folder of openigtlink-ng, built")
+    parser.add_argument("--python", type=Path, required=True, help="interpreter that imports oigtl and numpy")
+    return parser
+
+
+#: What a person builds, in the folder → what it is.
+SCHEMAS = {"spec/schemas/transform.json": "a copy of openigtlink-ng"}
+TYPESCRIPT = {"core-ts/dist/codec.js": "core-ts, built (npm run build)"}
+CPP = {"core-cpp/build/liboigtl_ergo.a": "core-cpp, built with CMake in core-cpp/build"}
+
+
+def parsed(parser: argparse.ArgumentParser, wanted: dict[str, str]) -> argparse.Namespace:
+    """The options; ends with what is missing of openigtlink-ng."""
+    given = parser.parse_args()
+    paths = {given.program / path: what for path, what in wanted.items()}
+    paths[given.python] = "a Python that imports oigtl and numpy"
+    lacking = [f"found no {path}, expected {what}" for path, what in paths.items() if not path.is_file()]
+    if lacking:
+        raise SystemExit("\n".join(f"{parser.prog}: {line}" for line in lacking))
+    return given
+
+
+def schemas_of(folder: Path) -> Schemas:
+    """Type name → the fields of its content; without the parts of headers."""
+    found = {path.stem: json.loads(path.read_text("utf-8")) for path in (folder / "spec" / "schemas").glob("*.json")}
+    return {one["type_id"]: one["fields"] for name, one in found.items() if not name.startswith("framing_")}
+
+
+def version_of(folder: Path) -> str:
+    name = ["git", "-C", str(folder), "rev-parse", "--short", "HEAD"]
+    return subprocess.run(name, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--program", type=Path, required=True, help="folder of openigtlink-ng, built")
-    parser.add_argument("--python", type=Path, required=True, help="interpreter that imports oigtl and numpy")
-    parser.add_argument("--count", type=int, default=2_100, help="messages of a type, direction and codec")
+    parser = arguments(__doc__)
+    parser.add_argument("--count", type=int, default=2_000, help="messages of a type, direction and codec")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(
         "--log", type=Path, default=Path("openigtlink-ng.log"), help="what is not explained, as JSON lines"
     )
-    given = parser.parse_args()
-    if lacking := list(missing(given.program, given.python)):
-        raise SystemExit("\n".join(f"openigtlink_ng: {line}" for line in lacking))
-    schema_files = given.program / "spec" / "schemas"
-    found = {path.stem: json.loads(path.read_text("utf-8")) for path in schema_files.glob("*.json")}
-    schemas = {one["type_id"]: one["fields"] for name, one in found.items() if not name.startswith("framing_")}
+    parser.add_argument("--vectors", type=Path, help="write only a message of each type that all write alike")
+    given = parsed(parser, SCHEMAS | TYPESCRIPT | CPP)
+    schemas = str(given.program / "spec" / "schemas")
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        node = ["node", str(PROGRAMS / "ng_codec.mjs"), str(schema_files), str(given.program / "core-ts" / "dist")]
-        python = [str(given.python), str(PROGRAMS / "ng_codec.py"), str(schema_files)]
+        node = ["node", str(PROGRAMS / "ng_codec.mjs"), schemas, str(given.program / "core-ts" / "dist")]
+        python = [str(given.python), str(PROGRAMS / "ng_codec.py"), schemas]
         codecs = [
-            Codec("Python", python, given.program, has_new=False),
-            Codec("TypeScript", node, given.program, has_new=False),
-            Codec("C++", [str(compiled(given.program, folder))], given.program, has_new=True),
+            Codec("Python", python, given.program),
+            Codec("TypeScript", node, given.program),
+            Codec("C++", [str(compiled(given.program, folder))], given.program),
         ]
         for codec in codecs:
             stack.callback(codec.close)
-        rows = judge(codecs, schemas, given.count, given.seed, given.log)
-    name = ["git", "-C", str(given.program), "rev-parse", "--short", "HEAD"]
-    version = subprocess.run(name, capture_output=True, text=True, check=True).stdout.strip()
-    return results.write("openigtlink-ng", "openigtlink-ng", version, "codecs in Python, TypeScript and C++", rows)
+        if given.vectors:
+            lines = map(json.dumps, agreed(codecs, schemas_of(given.program), given.seed))
+            given.vectors.write_text("".join(f"{line}\n" for line in lines), "utf-8")
+            return 0
+        rows = [*vectors(given.program), *(codec.row for codec in codecs)]
+        rows += judge(codecs, schemas_of(given.program), given.count, given.seed, given.log)
+    role = "codecs in Python, TypeScript and C++"
+    return results.write("openigtlink-ng", "openigtlink-ng", version_of(given.program), role, rows)
 
 
 if __name__ == "__main__":

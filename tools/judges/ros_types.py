@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import struct
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -86,16 +86,21 @@ def world(node: RosClient, *words: str, readers: int = 1) -> Iterator[World]:
         bridge.close()
 
 
-def judge(node: RosClient, *words: str, readers: int = 1) -> list[Row]:
-    """Every type both ways, then images of 6 MB and late joiners; arguments as for ``world``."""
-    with node, world(node, *words, readers=readers) as there:
-        rows = [_tried(row, there) for row in _early()]
-        rows += [_tried(row, there) for row in (*map(_in, CASES), *map(_out, OUTGOING), *_images(), *_late())]
-    return rows
-
-
 #: A row for the case that all is exact, and what compares; it returns how it differs, or "".
 Trial = tuple[Row, Callable[[World], str]]
+
+
+def judge(
+    node: RosClient, *words: str, readers: int = 1, more: Sequence[Trial] = (), lost_first: str = LOST_FIRST
+) -> list[Row]:
+    """Every type both ways, then images of 6 MB, late joiners, and what else is tried; arguments as for ``world``.
+
+    Args:
+        lost_first: why the first large image may be lost.
+    """
+    trials = (*map(_in, CASES), *map(_out, OUTGOING), *_images(lost_first), *_late(), *more)
+    with node, world(node, *words, readers=readers) as there:
+        return [_tried(row, there) for row in (*_early(), *trials)]
 
 
 def _tried(trial: Trial, there: World) -> Row:
@@ -137,7 +142,7 @@ def _large(topic: str) -> dict[str, str]:
     return {topic % quality.title().replace(" ", ""): IMAGE for quality in (BEST, SURE)}
 
 
-def _images() -> Iterator[Trial]:
+def _images(lost_first: str) -> Iterator[Trial]:
     pixels = hashlib.shake_256(b"pixels").digest(WIDTH * HEIGHT * 3)
     fields = {"header": head("Base"), "height": HEIGHT, "width": WIDTH, "encoding": "rgb8", "step": 3 * WIDTH}
     for quality in (SURE, BEST):
@@ -150,7 +155,7 @@ def _images() -> Iterator[Trial]:
             try:
                 there.ros.wait_until(lambda: there.ros.waiting(f"{IN}{device}/image") > 0, "image", PATIENCE_S)
             except AssertionError:
-                text = LOST_FIRST
+                text = lost_first
                 there.talker.send(content)
             assert there.ros.receive(f"{IN}{device}/image")["data"] == hexed(pixels), "other pixels"
             return text

@@ -6,7 +6,8 @@ docs/evidence/real-programs/rosbag2.jsonl; exit code 1 if anything differs.
 
 Strategy: the messages are those of ``ros_types``.  Three records of the same traffic are compared topic by topic, each
 byte: rosbag2's, what the gateway imports of it, and the gateway's own.  Then rosbag2 plays the inputs of the gateway's
-own recording to another bridge, whose recording must have the same inputs and the same outputs.
+own recording to another bridge, whose recording must have the same inputs and the same outputs.  The same is done with
+a service and an action of rclpy; what two nodes send at once may have another order there.
 """
 
 from __future__ import annotations
@@ -27,16 +28,22 @@ from mcap.reader import make_reader
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
+from igtl_gateway.convert.exchanges import action_of, service_of
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from tests.integration.bridge import TIMEOUT_S, Bridge, Program, RawPeer, RosClient, environment
 from tests.integration.test_ros_types import SEC, rows_of_the_command_line
+from tests.places import ROOT
 from tools.judges import cpp, results, ros_types
 from tools.judges.results import BOTH, EXACT, FAILS, TO_IGTL, Row
 
 Messages = dict[str, list[bytes]]
 #: What the gateway does not record: logs and parameters of each node, and what it publishes of itself.
 NOT_OURS = ("/rosout", "/parameter_events", "/events/write_split", "/diagnostics")
+#: Events of services; feedback and states of actions, which are hidden topics.
+EXCHANGES = ("record.all_services:=true", "record.include_hidden_topics:=true")
+#: A service and an action of rclpy.
+WORLD = ROOT / "tests/integration/services_world.py"
 #: For the discovery of the player's topics, and for the last message.
 DELAY_S, AFTER_S = 5, 3
 PLAYED = ("storage.storage_id:=mcap", f"play.delay.sec:={DELAY_S}", "play.disable_keyboard_controls:=true")
@@ -58,7 +65,7 @@ def program(name: str, prefixes: Sequence[Path], *parameters: str) -> Iterator[P
 
 
 @contextmanager
-def recorder(bag: Path, prefixes: Sequence[Path]) -> Iterator[Program]:
+def recorder(bag: Path, prefixes: Sequence[Path], *parameters: str) -> Iterator[Program]:
     """Records all topics, also those without a publisher yet."""
     with program(
         "recorder",
@@ -68,6 +75,7 @@ def recorder(bag: Path, prefixes: Sequence[Path]) -> Iterator[Program]:
         "record.all_topics:=true",
         "record.include_unpublished_topics:=true",
         "record.disable_keyboard_controls:=true",
+        *parameters,
     ) as running:
         yield running
 
@@ -150,6 +158,46 @@ def play(folder: Path, prefixes: Sequence[Path]) -> list[Row]:
     return [*rows, *compared(f"{what}: what its peer receives", TO_IGTL, second, first)]
 
 
+def exchanges(folder: Path, prefixes: Sequence[Path]) -> list[Row]:
+    """A service and an action, recorded by both; the gateway's recording, exported, played to another bridge."""
+    bag, session, again = folder / "calls", folder / "calls.mcap", folder / "calls-again.mcap"
+    imported, exported = folder / "calls-imported.mcap", folder / "calls-exported"
+    with recorder(bag, prefixes, *EXCHANGES), recording_bridge(session):
+        world = Program([sys.executable, str(WORLD), "2"])
+        world.wait_until(lambda: "end" in world.lines, "end of the goals")
+        time.sleep(AFTER_S)
+        world.close()
+    for words in (("import", bag, "-o", imported), ("export", session, "--to", "rosbag2", "-o", exported)):
+        command = [sys.executable, "-m", "igtl_gateway", *map(str, words)]
+        subprocess.run(command, check=True, capture_output=True, timeout=10 * TIMEOUT_S)
+    with recording_bridge(again):
+        with program("player", prefixes, f"storage.uri:={exported}", *PLAYED), SessionFile.open(session) as file:
+            time.sleep(DELAY_S + (file.end_ns - file.start_ns) / 1e9 + AFTER_S)
+    ours = of_exchanges(of_session(session, Kind.ROS_IN))
+    what = "services and actions: "
+    rows = compared(f"{what}recorded by rosbag2 as by the gateway", BOTH, of_exchanges(of_bag(bag)), ours)
+    rows += compared(f"{what}its bag, imported", BOTH, of_exchanges(of_session(imported, Kind.ROS_IN)), ours)
+    rows += compared(f"{what}exported", BOTH, of_exchanges(of_bag(exported)), ours)
+    played = of_exchanges(of_session(again, Kind.ROS_IN))
+    return [*rows, *compared(f"{what}the export, played by rosbag2 to another bridge", BOTH, played, ours)]
+
+
+@contextmanager
+def recording_bridge(path: Path) -> Iterator[Bridge]:
+    """A bridge without peers that records all topics, services and actions."""
+    bridge = Bridge("--record", str(path), "--record-all")
+    try:
+        yield bridge
+        bridge.end()
+    finally:
+        bridge.close()
+
+
+def of_exchanges(found: Mapping[str, list[bytes]]) -> Messages:
+    """The topics of services and actions, each with its messages in the order of their bytes."""
+    return {topic: sorted(map(bytes, each)) for topic, each in found.items() if service_of(topic) or action_of(topic)}
+
+
 def to_silent_peer(path: Path) -> Messages:
     """What went to the peer that sends nothing: it gets every type.  Without stamps that are the time of receipt."""
     found: dict[int, Messages] = defaultdict(lambda: defaultdict(list))
@@ -168,7 +216,7 @@ def main() -> int:
     parser.add_argument("--prefix", type=Path, action="append", required=True, help="folder of packages (repeatable)")
     prefixes = parser.parse_args().prefix
     with tempfile.TemporaryDirectory() as name:
-        rows = [*record(Path(name), prefixes), *play(Path(name), prefixes)]
+        rows = [*record(Path(name), prefixes), *play(Path(name), prefixes), *exchanges(Path(name), prefixes)]
     version = cpp.version_of("rosbag2_transport", prefixes)
     return results.write("rosbag2", "rosbag2", version, "recorder and player", rows)
 

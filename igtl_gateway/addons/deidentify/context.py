@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from igtl_gateway.addon import matches
 from igtl_gateway.addon.messages import TO_ROS
+from igtl_gateway.addon.reading import CLOCK_DEVICE
 from igtl_gateway.addons.deidentify.pixels import PixelCleaner
 from igtl_gateway.addons.deidentify.profile import Profile
 from igtl_gateway.addons.deidentify.pseudonyms import WORDS, Pseudonyms, TimeShift
@@ -49,7 +50,7 @@ class Context:
     def of(cls, profile: Profile, key: bytes, shift_ns: int | None) -> Context:
         """Return a context; ``shift_ns`` None: from the key."""
         report = Report(kept_times=shift_ns == 0)
-        words = WORDS | {row.kind for row in TO_ROS}
+        words = WORDS | {CLOCK_DEVICE} | {row.kind for row in TO_ROS}
         names = Pseudonyms(key, profile.names, profile.keep_names, words, lambda: report.add("name"))
         asked = Asked(names=names.asked)
         times = TimeShift(names.shift_ns() if shift_ns is None else shift_ns, lambda: report.add("time"))

@@ -7,12 +7,14 @@ from typing import Any
 
 from igtl_gateway.addon.igtl import BODIES
 from igtl_gateway.addon.notes import (
+    ASK_CLOCK,
     CLOCK_STEP,
     LISTENED,
     ORDERS,
     PARTNER,
     REFUSED_COMMANDS,
     REFUSED_DEVICE,
+    REPORT_CLOCK,
     SETTING,
     SETTINGS,
     TICK,
@@ -24,9 +26,10 @@ from igtl_gateway.addons.deidentify.context import Context
 
 #: Codes of inputs; a note with another code becomes ``OTHER``.
 CODES = frozenset({
-    TICK, LISTENED, SETTING, CLOCK_STEP, "halted",
+    TICK, LISTENED, ASK_CLOCK, SETTING, CLOCK_STEP, "halted",
     *"link_up link_down peer_profile connect_failed listen_failed accept_failed refused tls_failed idle".split(),
-    *"stalled unreachable rate_limited truncated too_large out_of_memory internal_error queue_drop queue_full".split(),
+    *"websocket_failed stalled unreachable rate_limited truncated too_large out_of_memory internal_error".split(),
+    *"queue_drop queue_full".split(),
     *"no_conversion no_interfaces callback_failed ros_subscribed ros_incompatible_qos ros_lost ros_slow".split(),
     *"ros_hold_overflow ros_unknown_type ros_refused ros_publish_failed ros_receive_failed ros_callback_failed".split(),
     *"ros_held_old ros_type_hash ros_bad_attachment ros_bad_token ros_call_refused".split(),
@@ -93,7 +96,7 @@ def _data(data: dict[str, Any], context: Context) -> dict[str, Any]:
             kept[key] = context.names.name(value)
         elif (key == "role" and value in _ROLES) or (key in _NUMBERS and type(value) in (int, float)):
             kept[key] = value
-        elif key == "dropped" and type(value) is int:
+        elif (key == "dropped" and type(value) is int) or (key == REPORT_CLOCK and value is True):
             kept[key] = value
         elif key == ORDERS and isinstance(value, dict):
             kept[key] = {number: _clean_order(order) for number, order in value.items() if _is_number(number)}

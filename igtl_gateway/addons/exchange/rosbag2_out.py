@@ -123,7 +123,7 @@ class _TopicRegistry:
             if not (given and given.data.strip()):
                 notes.append(f"{ros_type}: the session has no definition of this type")
             return self._writer.register_schema(ros_type, "", b""), ""
-        return self._writer.register_schema(ros_type, found.encoding, found.data), found.type_hash
+        return self._writer.register_schema(ros_type, found.encoding, found.data), found.file_hash(ros_type)
 
 
 def numbered_qos(text: str) -> str:

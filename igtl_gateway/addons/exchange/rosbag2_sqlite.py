@@ -15,7 +15,7 @@ from typing import Any
 
 from igtl_gateway.addon import DamagedRecording, LimitExceeded, RecordingError, limit_values, read_blob
 from igtl_gateway.addon.terminal import count_text, counted
-from igtl_gateway.addon.untrusted import files, limits
+from igtl_gateway.addon.untrusted import files, limits, messages_of
 from igtl_gateway.addon.writing import Definition, FileDefinitions
 from igtl_gateway.addons.exchange.rosbag2_metadata import Key
 
@@ -156,8 +156,8 @@ class SqliteStorage:
         others = set()
         for name, encoding, data in found:
             definition = Definition(data if isinstance(data, bytes) else b"", _text(encoding or b""))
-            if not self._definitions.takes(_text(name), definition):
-                others.add(_text(name))
+            # of the events of a service it states the type of the service
+            others |= {each for each in messages_of(_text(name)) if not self._definitions.takes(each, definition)}
         return others
 
     def _check_tables(self) -> None:

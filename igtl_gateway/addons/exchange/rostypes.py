@@ -56,7 +56,7 @@ def with_hash(ros_type: str, found: Definition, note: Callable[[str], None] = la
     # an empty text with a hash is the definition of a type without fields; without a hash there is no definition
     if not found.is_read(ros_type) or not (found.data.strip() or found.type_hash):
         return None
-    place = f"definition of {ros_type[:100]}"
+    place, derived = f"definition of {ros_type[:100]}", DerivedType.of(ros_type)
     try:
         limits.check_limit("definition", len(found.data), place)
     except DamagedRecording as error:
@@ -64,7 +64,7 @@ def with_hash(ros_type: str, found: Definition, note: Callable[[str], None] = la
         return None
     try:
         types = definitions.parse_definition(found.text(ros_type), ros_type)
-        if names := names_not_allowed(types, ros_type):
+        if not derived and (names := names_not_allowed(types, ros_type)):
             note(f"{ros_type}: {names}")
         known = {**new_store().fielddefs, **types}  # includes Time and Duration, which need no definition
         type_hash = definitions.type_hash(known, ros_type)
@@ -74,6 +74,6 @@ def with_hash(ros_type: str, found: Definition, note: Callable[[str], None] = la
     except (TypesysError, KeyError, AssertionError):
         type_hash = ""
     data, encoding = found.data, found.encoding
-    if DerivedType.of(ros_type) and encoding != definitions.IDL:
+    if derived and encoding != definitions.IDL:
         data, encoding = found.text(ros_type).encode(), definitions.MSG
     return Definition(data, encoding, found.type_hash or type_hash)

@@ -90,6 +90,33 @@ def find_crossings(sent: Passed, received: Passed, own: Passed, is_pair: Callabl
     return several or found
 
 
+def with_questions(
+    there: Sequence[Crossing],
+    back: Sequence[Crossing],
+    exchanges: Sequence[tuple[int, int, int]],
+    questions: str,
+    answers: str,
+) -> list[Crossing]:
+    """Return the questions for the clock that one recorder sent to the other one, whose answers cross back.
+
+    A question is no message that can be found by its bytes, but its answer has the time at which it was received.
+
+    Args:
+        there, back: the streams that cross, from the recorder that asks and to it.
+        exchanges: of that recorder: time of a question, stamp of its answer and time of the answer; UTC ns.
+        questions, answers: names of the streams; where questions cross by their bytes, too, there are none to add.
+    """
+    if any(crossing.sent_as == questions for crossing in there):
+        return []
+    known = [crossing.received for crossing in back if crossing.sent_as == answers]
+    if not known or not exchanges:
+        return []
+    asked, stamps, answered = np.array(exchanges, np.int64).T
+    here = np.isin(answered, np.concatenate(known))
+    found = Crossing(questions, questions, asked[here], stamps[here], np.ones(int(here.sum()), np.bool_))
+    return [found] if len(found.sent) else []
+
+
 def pooled(crossings: Sequence[Crossing]) -> tuple[Array, Array]:
     """Times of the messages of several streams, as ``measure_offset`` takes them."""
     empty = np.zeros(0, np.int64)

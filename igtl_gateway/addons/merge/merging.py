@@ -20,12 +20,15 @@ from igtl_gateway.addon import NS_PER_S, ConfigError, DamagedRecording, GatewayE
 from igtl_gateway.addon.igtl import HEADER_SIZE
 from igtl_gateway.addon.messages import topic_token
 from igtl_gateway.addon.reading import (
+    CLOCK_ANSWERS,
+    CLOCK_QUESTIONS,
     Entry,
     EntryColumns,
     Kind,
     Level,
     Mark,
     Note,
+    RecordedClocks,
     SessionFile,
     StreamName,
     StreamNumbers,
@@ -40,7 +43,14 @@ from igtl_gateway.addon.reading import (
 from igtl_gateway.addon.untrusted import files, is_same
 from igtl_gateway.addon.writing import Method, written
 from igtl_gateway.addons.merge.clock_graph import Clock, clocks_of, latency_facts
-from igtl_gateway.addons.merge.crossings import Crossing, Passed, find_crossings, pooled, without_coincidences
+from igtl_gateway.addons.merge.crossings import (
+    Crossing,
+    Passed,
+    find_crossings,
+    pooled,
+    with_questions,
+    without_coincidences,
+)
 from igtl_gateway.addons.merge.offsets import ClockOffset, Contradiction, Piece, measure_offset
 from igtl_gateway.addons.merge.writer import MergedPart, write_merged
 
@@ -301,11 +311,14 @@ def _known(recorders: Sequence[_Recorder], given: Mapping[str, ClockOffset]) -> 
 def _links(recorders: Sequence[_Recorder]) -> dict[tuple[str, str], _Link]:
     """What crosses between each two recorders."""
     passed = {each.name: _passed_in_columns(each) or _passed_by_entries(each) for each in recorders}
+    asked = {each.name: RecordedClocks.of(each.file).exchanges for each in recorders}
     links = {}
     for one, two in combinations(passed, 2):
         (sent_one, received_one), (sent_two, received_two) = passed[one], passed[two]
         there = find_crossings(sent_one, received_two, received_one, _is_pair)
         back = find_crossings(sent_two, received_one, received_two, _is_pair)
+        there += with_questions(there, back, asked[one], CLOCK_QUESTIONS, CLOCK_ANSWERS)
+        back += with_questions(back, there, asked[two], CLOCK_QUESTIONS, CLOCK_ANSWERS)
         if there or back:
             links[one, two] = _Link(*without_coincidences(there, back))
     return links

@@ -252,6 +252,7 @@ class Now:
             "peer": peer["peer"],
             "role": _ROLES[peer["role"]],
             "profile": peer["profile"],
+            "clock": peer.get("clock", ""),
             "since_ns": losses.since_ns if peer["connected"] else None,
             "from_hz": taken.rate_hz,
             "to_hz": given.rate_hz,

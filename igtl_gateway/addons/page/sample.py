@@ -83,6 +83,7 @@ def _peers(bridge: Bridge) -> list[dict[str, Any]]:
                 "role": link.role,
                 "connected": link.connected,
                 "profile": bridge.gateway.profile_of(link.number),
+                "clock": _clock(bridge, link.number),
                 "received": counts.received_messages if counts else 0,
                 "sent": counts.sent_messages if counts else 0,
                 "dropped": sum(counts.dropped.values()) if counts else 0,
@@ -92,3 +93,9 @@ def _peers(bridge: Bridge) -> list[dict[str, Any]]:
             }
         )
     return found
+
+
+def _clock(bridge: Bridge, link: int) -> str:
+    """Return the offset of a peer's clock in words; "" if no answer shows it."""
+    known = bridge.gateway.questions and bridge.gateway.questions.clocks.offset(link, bridge.hub.now_ns())
+    return str(known) if known else ""

@@ -18,20 +18,22 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from igtl_gateway.addon import GatewayError
-from igtl_gateway.addon.reading import Qos, incompatible
+from igtl_gateway.addon.messages import ACTION_SERVICES, ACTION_TOPICS, IN_ACTION, SERVICE_EVENT, action_of
+from igtl_gateway.addon.reading import PlayedAction, Qos, RecordedService, incompatible
 from igtl_gateway.addon.terminal import count_text, duration_text
 from igtl_gateway.addons.resim import frames
 from igtl_gateway.addons.resim.frames import ALL, DEADLINE, MESSAGE, NEVER, EntityFrame
 from igtl_gateway.addons.resim.inputs import CLOCK, Inputs, RecordedInput, RecordedTopic
 from igtl_gateway.addons.resim.link import AnyLink, Gone
 from igtl_gateway.addons.resim.outputs import OutputFile, OutputStream
-from igtl_gateway.addons.resim.services import RecordedService
 
 #: Messages and bytes that are sent to a program at once.
 _BATCH, _BATCH_BYTES = 512, 1 << 20
 #: At the end of the session, a callback may sleep for this time: it returns then.  Longer is forever.
 _LONGEST_SLEEP_NS = 60_000_000_000
 _YEAR_NS = 365 * 86_400_000_000_000
+#: Stands for the number of a program: the message is one of an action of the recording.
+_OF_RECORDING = -1
 #: Messages of the programs at one session time; more are a flood.
 _MOST_AT_ONCE = 100_000
 
@@ -125,7 +127,8 @@ class Roles:
         expected: recorded topics that programs publish themselves: what they are compared with.
         refused: topics that a program does not receive, and why.
         answered: services that programs call and none offers, with the number of their recorded answers.
-        unserved: those without one.
+        unserved: services without one.
+        played: actions that programs call and none offers, with the number of their recorded goals.
     """
 
     inputs: dict[str, int] = field(default_factory=dict)
@@ -137,6 +140,7 @@ class Roles:
     refused: dict[str, str] = field(default_factory=dict)
     answered: dict[str, int] = field(default_factory=dict)
     unserved: list[str] = field(default_factory=list)
+    played: dict[str, int] = field(default_factory=dict)
 
 
 class Coordinator:
@@ -147,6 +151,7 @@ class Coordinator:
         inputs: the messages of the recording.
         topics: its ROS topics.
         services: those whose answers it has; they are used up.
+        actions: those whose goals it has.
         outputs: where outputs go.
         start_ns, end_ns: session time of the run.
         latency_ns: from the sending of a message to its arrival.
@@ -165,6 +170,7 @@ class Coordinator:
         inputs: Inputs,
         topics: Mapping[str, RecordedTopic],
         services: Mapping[str, RecordedService],
+        actions: Mapping[str, PlayedAction],
         outputs: OutputFile,
         *,
         start_ns: int,
@@ -179,7 +185,7 @@ class Coordinator:
     ) -> None:
         self._peers, self._inputs, self._topics, self._outputs = peers, inputs, topics, outputs
         self._start_ns, self._end_ns, self._latency_ns = start_ns, end_ns, latency_ns
-        self._services = services
+        self._services, self._actions = services, actions
         self._is_input = is_input
         self._on_start, self._on_event, self._on_remark = on_start, on_event, on_remark
         self._left = most_outputs
@@ -196,7 +202,7 @@ class Coordinator:
         self.refused: dict[str, str] = {}
         #: Topic → recorded messages that went to programs.
         self.delivered: Counter[str] = Counter()
-        #: Service → requests that neither a program nor the recording answers.
+        #: Service or action → requests that neither a program nor the recording answers.
         self.unserved: Counter[str] = Counter()
         #: Program and topic or service → what its full queue dropped.
         self.lost: dict[tuple[str, str], Lost] = {}
@@ -213,7 +219,9 @@ class Coordinator:
         for topic in self._topics.values():
             self._announce(topic)
         for service in self._services.values():
-            self._announce_service(service)
+            self._announce_service(service.name, service.type)
+        for action in self._actions:
+            self._announce_action(action)
         for peer in self._peers:
             self._receive(peer)
         for peer in self._peers:  # what became known since a program's own first frame
@@ -242,6 +250,9 @@ class Coordinator:
             elif self._messages and following == (self._messages[0][0], MESSAGE):
                 time_ns, _, index, frame = heapq.heappop(self._messages)
                 self.now_ns = max(self.now_ns, time_ns)
+                if index == _OF_RECORDING:
+                    self._play(frame.decode(), time_ns)
+                    continue
                 self.events += 1
                 self._grant(self._peers[index], [frame], time_ns, MESSAGE)
             else:
@@ -406,9 +417,8 @@ class Coordinator:
                         self._take(peer, frame)
 
     def _send(self, index: int, frame: bytes, time_ns: int) -> None:
-        """Queue a frame for a program, at its arrival."""
-        self._order += 1
-        heapq.heappush(self._messages, (time_ns + self._latency_ns, self._order, index, frame))
+        """Queue a frame for a program, by the time of its sending."""
+        self._arrive(time_ns + self._latency_ns, index, frame)
 
     def _lost(self, peer: Peer, frame: frames.Lost) -> None:
         entity = peer.entities[frame.entity].frame
@@ -464,14 +474,72 @@ class Coordinator:
                 )  # fmt: skip
                 self._send(other.index, content, frame.time_ns)
                 return
+        named, type_ = action_of(f"{name}{SERVICE_EVENT}"), peer.entities[frame.client].frame.type
+        if named and (action := self._actions.get(named[0])) and type_ == _service_types(action)[named[1]]:
+            action.ask(named[1], frame.data, frame.time_ns, (peer.index, frame.client, frame.number))
+            self._wake(named[0])
+            return
         service = self._services.get(name)
-        if service and service.type == peer.entities[frame.client].frame.type and (answer := service.take(frame.data)):
+        if service and service.type == type_ and (answer := service.take(frame.data)):
             arrival_ns = frame.time_ns + answer.latency_ns
             content = frames.to_client(arrival_ns, frame.client, frame.number, answer.data)
-            self._order += 1
-            heapq.heappush(self._messages, (arrival_ns, self._order, peer.index, content))
+            self._arrive(arrival_ns, peer.index, content)
         else:
             self.unserved[name] += 1
+
+    # -- actions of the recording -------------------------------------------------------------------------------------
+
+    def _wake(self, action: str) -> None:
+        """Have a recorded action send what it has to, when it has to."""
+        if (next_ns := self._actions[action].next_ns) is not None:
+            self._order += 1
+            heapq.heappush(self._messages, (next_ns, self._order, _OF_RECORDING, action.encode()))
+        if refused := self._actions[action].refused.total():
+            self.unserved[action] = refused
+
+    def _play(self, action: str, time_ns: int) -> None:
+        for sent in self._actions[action].take(time_ns):
+            if isinstance(sent.to, tuple):
+                index, client, number = sent.to
+                self._arrive(time_ns, index, frames.to_client(time_ns, client, number, sent.data))
+                continue
+            name = f"{action}{IN_ACTION}{sent.part}"
+            type_, qos = self._topics_of(action)[name]
+            for peer in self._peers:
+                for each in peer.named("s", name):
+                    target = each.frame.number
+                    content = frames.message(0, time_ns, time_ns, target, MESSAGE, name.encode(), sent.data)
+                    self._arrive(time_ns, peer.index, content)
+            if qos.latched:
+                self._keep(name, qos, RecordedInput(0, time_ns, name, type_, sent.data, time_ns, False))
+        self._wake(action)
+
+    def _arrive(self, time_ns: int, index: int, frame: bytes) -> None:
+        """Queue a frame for a program, whose arrival is known."""
+        self._order += 1
+        heapq.heappush(self._messages, (time_ns, self._order, index, frame))
+
+    def _topics_of(self, action: str) -> dict[str, tuple[str, Qos]]:
+        """The topics of a recorded action: types and QoS."""
+        feedback, status = f"{self._actions[action].action.type}_FeedbackMessage", "action_msgs/msg/GoalStatusArray"
+        rows = ((feedback, Qos(10)), (status, Qos(1, latched=True)))
+        return {f"{action}{IN_ACTION}{part}": row for part, row in zip(ACTION_TOPICS, rows, strict=True)}
+
+    def _has_server(self, action: str) -> bool:
+        """Whether a program offers an action."""
+        return any(each.named("v", f"{action}{IN_ACTION}{ACTION_SERVICES[0]}") for each in self._peers)
+
+    def _is_played(self, action: str) -> bool:
+        """Whether the recording is the server of an action: a program asks for it, and none offers it."""
+        goals = f"{action}{IN_ACTION}{ACTION_SERVICES[0]}"
+        is_asked = action in self._actions and any(each.named("c", goals) for each in self._peers)
+        return is_asked and not self._has_server(action)
+
+    def _announce_action(self, action: str) -> None:
+        for part, type_ in _service_types(self._actions[action]).items():
+            self._announce_service(f"{action}{IN_ACTION}{part}", type_)
+        for name, (type_, _) in self._topics_of(action).items():
+            self._show("p", name, type_, not self._has_server(action))
 
     # -- entities -----------------------------------------------------------------------------------------------------
 
@@ -495,18 +563,22 @@ class Coordinator:
         if frame.kind == "p" and topic:
             self._announce(topic)
         if frame.kind == "v" and (service := self._services.get(frame.name)):
-            self._announce_service(service)
+            self._announce_service(service.name, service.type)
+        if frame.kind == "v" and (named := action_of(f"{frame.name}{SERVICE_EVENT}")) and named[0] in self._actions:
+            self._announce_action(named[0])
         if frame.kind == "s" and frame.is_made and frame.latched:
             self._send_latched(peer, frame)
 
     def _announce(self, topic: RecordedTopic) -> None:
         """Have the graph of the programs show a publisher of a recorded topic exactly while the recording drives it."""
+        if (named := action_of(topic.name)) and named[0] in self._actions:
+            return  # shown with its action
         is_driven = topic.name.startswith("/") and self._is_recorded_input(topic)
         self._show("p", topic.name, topic.type, is_driven)
 
-    def _announce_service(self, service: RecordedService) -> None:
+    def _announce_service(self, name: str, type_: str) -> None:
         """Have the graph of the programs show a recorded service exactly while none of them offers it."""
-        self._show("v", service.name, service.type, not any(each.named("v", service.name) for each in self._peers))
+        self._show("v", name, type_, not any(each.named("v", name) for each in self._peers))
 
     def _show(self, kind: str, name: str, type_: str, is_there: bool) -> None:
         if is_there != ((kind, name) in self._announced):
@@ -522,14 +594,15 @@ class Coordinator:
             content = frames.message(
                 0, now_ns, message.source_ns, frame.number, MESSAGE, message.topic.encode(), message.data
             )
-            self._order += 1
-            heapq.heappush(self._messages, (now_ns, self._order, peer.index, content))
+            self._arrive(now_ns, peer.index, content)
 
     def _is_recorded_input(self, topic: RecordedTopic) -> bool:
         """Whether the recording drives a topic; by default, what programs publish themselves comes from them."""
         chosen = self._is_input(topic.name)
         if chosen is not None:
             return chosen
+        if (named := action_of(topic.name)) and self._is_played(named[0]):
+            return False
         return not self._published_topics[topic.name] or topic.from_gateway > 0
 
     def _receivers(self, message: RecordedInput) -> Receivers:
@@ -567,6 +640,9 @@ class Coordinator:
         given = {each.frame.name for peer in self._peers for each in peer.entities.values() if each.frame.kind == "p"}
         called = {each.frame.name for peer in self._peers for each in peer.entities.values() if each.frame.kind == "c"}
         served = {each.frame.name for peer in self._peers for each in peer.entities.values() if each.frame.kind == "v"}
+        played = {name: each.action.count for name, each in sorted(self._actions.items()) if self._is_played(name)}
+        of_played = {f"{name}{IN_ACTION}{part}" for name in played for part in (*ACTION_SERVICES, *ACTION_TOPICS)}
+        wanted, called = wanted - of_played, called - of_played
         inputs = {name: 0 for name in sorted(wanted) if name in self._topics and self._find_receivers(name)}
         for name in inputs:
             topic = self._topics[name]
@@ -577,7 +653,7 @@ class Coordinator:
             sorted(given),
             sorted(wanted & given),
             sorted(name for name in wanted - given if name not in self._topics),
-            sorted(name for name in self._topics if name not in wanted | given and name != CLOCK),
+            sorted(name for name in self._topics if name not in wanted | given | of_played and name != CLOCK),
             sorted(
                 name
                 for name in self._topics
@@ -586,6 +662,7 @@ class Coordinator:
             dict(self.refused),
             {name: self._services[name].count for name in sorted(called - served) if name in self._services},
             sorted(called - served - self._services.keys()),
+            played,
         )
 
     def end(self) -> None:
@@ -597,6 +674,13 @@ class Coordinator:
 
 def _long_time(ns: int) -> str:
     return "a year and" if ns > _YEAR_NS else duration_text(ns)
+
+
+def _service_types(action: PlayedAction) -> dict[str, str]:
+    """The types of the services of an action."""
+    type_ = action.action.type
+    types = (f"{type_}_SendGoal", "action_msgs/srv/CancelGoal", f"{type_}_GetResult")
+    return dict(zip(ACTION_SERVICES, types, strict=True))
 
 
 def _before(time_ns: int, class_: int) -> tuple[int, int]:

@@ -30,7 +30,7 @@ from igtl_gateway.addon import (
     without_match,
 )
 from igtl_gateway.addon.processes import endings_held, make_ready
-from igtl_gateway.addon.reading import SessionFile
+from igtl_gateway.addon.reading import PlayedAction, SessionFile, recorded_calls
 from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addons.resim.coordinator import Coordinator, Lost, Peer, ProgramFault, Roles
 from igtl_gateway.addons.resim.frames import ABI_VERSION, DEADLINE, INPUT, NEVER, Hello, Remark, welcome
@@ -59,7 +59,6 @@ from igtl_gateway.addons.resim.processes import (
     is_computing,
     notes,
 )
-from igtl_gateway.addons.resim.services import recorded_services
 
 #: Nothing traces the program, so it does not wait for LTTng.
 _ENVIRONMENT = {"LTTNG_UST_REGISTER_TIMEOUT": "0"}
@@ -180,7 +179,7 @@ class Run:
         outputs: session file with what the programs published.
         streams: its topics.
         delivered: topic → recorded messages that went to programs.
-        unserved: service → requests that neither a program nor the recording answered.
+        unserved: service or action → requests that neither a program nor the recording answered.
         refused: topic → why a program did not receive it.
         lost: messages that full queues of programs have dropped, in the order of their first ones.
         named: topics of the recording, and those that programs published or asked for.
@@ -410,12 +409,14 @@ def _run_once(
         joining = _Joining(stack, watch, processes, listener, library, replaced, options, one)
         coordinator: Coordinator | None = None
         try:
+            calls = recorded_calls(file)
             peers = [joining.join(index, program) for index, program in enumerate(programs)]
             coordinator = Coordinator(
                 peers,
                 Inputs(file, {each.number for each in replaced.values()}, options.since_ns),
                 topics_of(file) | {name: topic for each in replaced.values() for name, topic in each.topics().items()},
-                recorded_services(file),
+                calls.services,
+                {name: PlayedAction(action) for name, action in calls.actions.items()},
                 outputs,
                 start_ns=joining.begin_ns,
                 end_ns=one.end_ns,

@@ -50,7 +50,7 @@ from igtl_gateway.addons.view.rates import Rates
 from igtl_gateway.addons.view.robots import Robots
 from igtl_gateway.addons.view.rows import Form, Unlike, drawing_of, stamp_of
 from igtl_gateway.addons.view.ruler import draw_ruler, ruler_of
-from igtl_gateway.addons.view.table import PICTURES, Bulk, Picture
+from igtl_gateway.addons.view.table import Bulk, Picture, picture_of
 from igtl_gateway.addons.view.words import ROBOT_DESCRIPTION
 
 if TYPE_CHECKING:
@@ -287,7 +287,7 @@ class SessionView:
 
     def _add_topic(self, entry: Entry) -> _DrawnTopic:
         """Set up a topic at its first message."""
-        picture = PICTURES.get(entry.type)
+        picture = picture_of(entry.type)
         path = path_of(entry.channel)
         if path.partition("/")[0] in _RESERVED:
             path = f"topics/{path}"

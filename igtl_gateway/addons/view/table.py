@@ -12,8 +12,9 @@ from enum import Enum
 from typing import Any, Protocol
 
 from igtl_gateway.addon import ros
-from igtl_gateway.addon.messages import MULTI_ARRAYS
+from igtl_gateway.addon.messages import MULTI_ARRAYS, ServiceEvent
 from igtl_gateway.addon.reading import Buffer
+from igtl_gateway.addon.untrusted import DerivedType
 from igtl_gateway.addons.view import clouds, markers, numbers, other_msgs, pictures2d, poses, surfaces, volumes, words
 from igtl_gateway.addons.view.contents import EntityKind
 
@@ -101,7 +102,18 @@ _ROWS = (
     Picture(ros.LabelMetaList, EntityKind.TEXT, words.draw_labels),
     Picture(ros.VideoMetaList, EntityKind.TEXT, words.draw_videos),
     Picture(ros.RawMessage, EntityKind.TEXT, words.draw_raw),
+    Picture(words.GoalStates, EntityKind.TEXT, words.draw_goals),
 )
+#: Of the events of all services, and the feedback of all actions: each has a type of its own.
+_EVENT = Picture(ServiceEvent, EntityKind.TEXT, words.draw_event)
+_FEEDBACK = Picture(words.Feedback, EntityKind.TEXT, words.draw_feedback)
 
 #: ROS type → its row.
 PICTURES: dict[str, Picture] = {row.message.TYPE: row for row in _ROWS}
+
+
+def picture_of(ros_type: str) -> Picture | None:
+    """Return the row of a type; None without one."""
+    if derived := DerivedType.of(ros_type):
+        return _EVENT if derived.suffix.endswith("Event") else _FEEDBACK
+    return PICTURES.get(ros_type)

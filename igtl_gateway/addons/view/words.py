@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
 
 import rerun as rr
 
 from igtl_gateway.addon import ConversionError, RecordingError, ros
+from igtl_gateway.addon.messages import OUTCOMES, ServiceEvent, feedback_goal, goal_states
+from igtl_gateway.addon.reading import Buffer
 from igtl_gateway.addon.ros import DiagnosticStatus, Empty, Log, OperatingState, String, StringStamped
 from igtl_gateway.addon.terminal import counted
 from igtl_gateway.addons.view.canvas import Canvas
@@ -18,6 +22,7 @@ _LEVELS = ("INFO", "WARN", "ERROR", "WARN")
 _MAX_LINE = 300
 _ROS_WARN, _ROS_ERROR = 30, 40
 _QUERIES = {1: "GET", 2: "START", 3: "STOP", 4: "REPLY"}
+_STEPS = ("client sends request", "server receives request", "server sends response", "client receives response")
 _REPLIES = {1: "success", 2: "failed", 3: "no reply in time", 4: "no peer"}
 
 
@@ -126,6 +131,48 @@ def draw_videos(message: ros.VideoMetaList, canvas: Canvas) -> None:
 def draw_raw(message: ros.RawMessage, canvas: Canvas) -> None:
     """igtl_msgs/RawMessage: bytes of a type without a conversion."""
     _log_text(canvas, f"{message.type} {message.device_name}: {counted(memoryview(message.data).nbytes, 'byte')}")
+
+
+@dataclass(frozen=True, slots=True)
+class GoalStates:
+    """action_msgs/GoalStatusArray: id and status of each goal that a server knows."""
+
+    TYPE: ClassVar[str] = "action_msgs/msg/GoalStatusArray"
+    goals: tuple[tuple[bytes, int], ...]
+
+    @classmethod
+    def unpack(cls, cdr: Buffer) -> GoalStates:
+        """Raises ConversionError."""
+        return cls(tuple(goal_states(cdr)))
+
+
+@dataclass(frozen=True, slots=True)
+class Feedback:
+    """The feedback of an action: the id of its goal."""
+
+    goal: bytes
+
+    @classmethod
+    def unpack(cls, cdr: Buffer) -> Feedback:
+        """Raises ConversionError."""
+        return cls(feedback_goal(cdr))
+
+
+def draw_event(message: ServiceEvent, canvas: Canvas) -> None:
+    """An event of a service: which step of a call it is."""
+    _log_text(canvas, f"{_STEPS[message.kind]} {message.number}")
+
+
+def draw_feedback(message: Feedback, canvas: Canvas) -> None:
+    """A feedback: of which goal; its values are those of its action."""
+    _log_text(canvas, f"goal {message.goal.hex()[:8]} has feedback")
+
+
+def draw_goals(message: GoalStates, canvas: Canvas) -> None:
+    """The states of goals; those that a server has aborted are warnings."""
+    states = (f"goal {goal.hex()[:8]} {OUTCOMES.get(status, 'goes on')}" for goal, status in message.goals)
+    is_aborted = any(OUTCOMES.get(status) == "aborted" for _, status in message.goals)
+    _log_text(canvas, ", ".join(states) or "no goals", _LEVELS[is_aborted])
 
 
 def _size(size: Sequence[int]) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from igtl_gateway.addon import UnknownTypeError
+from igtl_gateway.addon.untrusted import DerivedType
 from igtl_gateway.addon.writing import RosTypes
 from igtl_gateway.addons.zenoh.connection import Connection
 from igtl_gateway.addons.zenoh.names import Node, data_key
@@ -65,5 +66,7 @@ class TypeHashes:
             elif definition := self._types.find(ros_type):
                 self._found[ros_type] = definition.type_hash
             else:
-                raise UnknownTypeError(f"unknown type, found no definition of it (share/{ros_type}.msg)")
+                derived = DerivedType.of(ros_type)
+                place = derived.file if derived else f"{ros_type}.msg"
+                raise UnknownTypeError(f"unknown type, found no definition of it (share/{place})")
         return self._found[ros_type]

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from igtl_gateway.base.untrusted.dialects import RULE
 
 _TYPE = re.compile(r"([A-Za-z]\w*)/(srv|action)/([A-Za-z][A-Za-z0-9]*)_(\w+)", re.ASCII)
+_FILE = re.compile(r"[A-Za-z]\w*/(srv|action)/[A-Za-z][A-Za-z0-9]*", re.ASCII)
 _BETWEEN = re.compile(r"^---[ \t\r]*$", re.MULTILINE)
 _HEAD = re.compile(rf"\s*{RULE}[ \t]*\r?\n(?:SRV|ACTION): [^\n]*\n")
 _PARTS = {"srv": 2, "action": 3}
@@ -94,6 +95,14 @@ class DerivedType:
         nested = [suffix for suffix, _ in _MESSAGES[self.kind, self.suffix][1]]
         is_own = name.startswith(own) and name[len(own) :] in nested
         return f"{self.package}/{self.kind}/{self.name}_{name[len(own) :]}" if is_own else name
+
+
+def messages_of(ros_type: str) -> list[str]:
+    """Return the messages that a definition of a type is for: of a service or an action, those of its topics."""
+    of_file = _FILE.fullmatch(ros_type)
+    if not of_file:
+        return [ros_type]
+    return [f"{ros_type}_{suffix}" for kind, suffix in _MESSAGES if kind == of_file[1]]
 
 
 def is_of_file(text: str) -> bool:

@@ -1,11 +1,11 @@
 """What differs between the rclpy of Humble, Jazzy, Kilted and Lyrical; no other module of the edge depends on it.
 
 What an rclpy has is looked up, not concluded from its version.  The sources that were read: Humble 3.3.15, Jazzy 7.1.3
-and 7.1.6, and of Lyrical's time the stubs of the compiled part and ``subscription.py``.  Kilted's 9.1.2 was run.
+and 7.1.6, Lyrical 10.0.10 with its rmw 7.10.1, rcl 10.4.4 and rmw_fastrtps 9.4.7.  Kilted's 9.1.2 was run.
 
 | | Humble | Jazzy, Kilted, Lyrical | here |
 |---|---|---|---|
-| events | module ``qos_event`` | ``event_handler``; ``qos_event`` is its old name | `EVENT_MODULES` |
+| events | module ``qos_event`` | ``event_handler``; until Kilted ``qos_event`` is its old name | `EVENT_MODULES` |
 | event of matches | none, nor in rmw | ``matched`` of publisher and subscription | `CountedMatches` |
 | number of matched publishers | in rcl only | ``Subscription.get_publisher_count`` | `_publishers_of` |
 | callback with ``raw`` | gets the message | may get its stamps and numbers, too | `_with_info` |
@@ -14,6 +14,13 @@ and 7.1.6, and of Lyrical's time the stubs of the compiled part and ``subscripti
 | type hashes, introspection of services, ``~/get_type_description`` | none | there | not used |
 | QoS, parameters, lifecycle, guard conditions, wait sets | as later | later ones add to them | what all have |
 | GID of an endpoint | 24 bytes | 16 bytes | only its first two are read |
+| messages with ``uint8[]`` | as all others | Lyrical: a channel of their own if all subscribers know it | see below |
+| buffers outside the CPU, content filters, nodes of asyncio | none | Lyrical: options, off | not used |
+| what is called in rcl and rmw, ``rmw_message_info_t`` | equal | equal | ``direct``, ``graph_watch``, native passage |
+
+The channel of Lyrical (rosidl::Buffer) has a writer and a reader beside the usual ones.  What is published serialised
+takes the usual ones, as all does that leaves the bridge.  Serialised reading takes the usual reader only, until the
+change that ``doctor/middleware.py`` names with the other losses.
 """
 
 from __future__ import annotations

@@ -28,6 +28,7 @@ from igtl_gateway.base.errors import first_line
 from igtl_gateway.config.setting import Value
 from igtl_gateway.config.settings import DEFAULT_LATCHED_MIB
 from igtl_gateway.edges.interface import Change, Halves, OnMessage, OnNote, Reports, Wants
+from igtl_gateway.edges.ros.calls import Answer, Caller, serve_later
 from igtl_gateway.edges.ros.direct import Rcl
 from igtl_gateway.edges.ros.graph import Graph
 from igtl_gateway.edges.ros.host import NodeHost
@@ -158,6 +159,31 @@ class RosEdge(Halves):
             Whether that was possible; if not, a note reports why.
         """
         return self._node.serve(name, type_name, answer)
+
+    def serve_later(self, name: str, type_name: str, on_request: Callable[[bytes, Answer], None]) -> str:
+        """Offer a service of serialised messages that may answer later; see ``calls.serve_later``.
+
+        Returns:
+            Why that is impossible, such as that another node offers it; ``""``.
+        """
+        try:
+            if self._node.handle.count_services(name):
+                return "another node offers it"
+            serve_later(self._node, name, type_name, on_request)
+        except Exception as error:  # rclpy raises a dozen unrelated classes here
+            return first_line(error)
+        return ""
+
+    def caller(self, name: str, event_type: str, goals: dict[bytes, bytes]) -> Caller | str:
+        """Return a client for the recorded events of a service, or why there is none; see ``calls.Caller``."""
+        try:
+            return Caller(self._node, name, event_type, goals)
+        except Exception as error:  # rclpy raises a dozen unrelated classes here
+            return first_line(error)
+
+    def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait until a condition holds that a response may change; False if that took longer, True at stop."""
+        return self._node.wait(condition, timeout_s)
 
     def subscriber_count(self, topic: str) -> int:
         """The number of subscriptions that our publisher of this topic is matched with, without our own."""

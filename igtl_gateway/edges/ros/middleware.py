@@ -21,6 +21,8 @@ _DERIVED = re.compile(r"([a-z][a-z0-9_]*)/(srv|action)/([A-Z][A-Za-z0-9]*)_(\w+)
 _BELOW = {
     ("srv", "Event"): "Event",
     ("action", "FeedbackMessage"): "Impl.FeedbackMessage",
+    ("action", "SendGoal"): "Impl.SendGoalService",
+    ("action", "GetResult"): "Impl.GetResultService",
     ("action", "SendGoal_Event"): "Impl.SendGoalService.Event",
     ("action", "GetResult_Event"): "Impl.GetResultService.Event",
 }
@@ -33,6 +35,7 @@ _SUBMODULES = (
     "guard_condition",
     "node",
     "qos",
+    "serialization",
     "subscription",
     "impl.implementation_singleton",
 )

@@ -13,8 +13,8 @@ Locks: each link has one, ``Sender.lock``, held for one non-blocking system call
 under either, and callbacks are made by the I/O thread only; so a callback may take the caller's lock and ``send``,
 while another thread sends under that same lock.
 
-TLS (``tls``, ``tls_link``) is another kind of socket below a link: the handshake comes before the link, and the I/O
-thread flushes bytes that are encrypted but not yet sent.
+TLS (``tls``) and WebSocket (``websocket``) are other kinds of sockets below a link (``layer``, ``layered_link``): the
+handshake (``handshake``) comes before the link, and the I/O thread flushes bytes that are encrypted but not yet sent.
 
 A relay (``relay``) makes pairs of links, each client with a connection of its own to one server.  There the I/O thread
 sends, and reads a link only while its partner's queue is empty.

@@ -1,25 +1,30 @@
-"""The addresses of an edge: where it listens, relays and connects, and the TLS handshakes of its clients."""
+"""The addresses of an edge: where it listens, relays and connects, and the handshakes of its clients."""
 
 from __future__ import annotations
 
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 from igtl_gateway.base.errors import ConfigError, Unavailable
+from igtl_gateway.base.extras import in_use
 from igtl_gateway.base.quantities import by_count, counted
 from igtl_gateway.edges.reserved import ReservedPorts, open_port
 from igtl_gateway.edges.tcp.dialer import Dialer
+from igtl_gateway.edges.tcp.handshake import Handshake
+from igtl_gateway.edges.tcp.layer import AnySocket, Layer
 from igtl_gateway.edges.tcp.link_info import LinkInfo, PeerLimits
 from igtl_gateway.edges.tcp.link_parts import LinkContext
 from igtl_gateway.edges.tcp.listener import Listener
 from igtl_gateway.edges.tcp.registry import LinkRegistry
 from igtl_gateway.edges.tcp.relay import RelayConnector
 from igtl_gateway.edges.tcp.sockets import PORT_MAX, AllowList, address_text, listening_socket, tune_socket
-from igtl_gateway.edges.tcp.tls import Context, Handshake, TlsFiles, TlsSocket
+from igtl_gateway.edges.tcp.tls import TlsFiles, TlsSocket
 
 #: Takes a connection and the address of its peer.
-Up = Callable[[socket.socket | TlsSocket, str], None]
+Up = Callable[[AnySocket, str], None]
+#: Puts a layer on a connection.
+Lay = Callable[[AnySocket], Layer]
 
 
 class Addresses:
@@ -30,6 +35,7 @@ class Addresses:
         context: what the links share.
         allow: which peers may connect.
         tls: files for the connections with TLS.
+        origins: whose pages may connect over WebSocket, see ``websocket.Origins``.
         reserved: ports that are taken already.
     """
 
@@ -39,6 +45,7 @@ class Addresses:
         context: LinkContext,
         allow: AllowList,
         tls: TlsFiles,
+        origins: Sequence[str],
         reserved: ReservedPorts | None,
     ) -> None:
         self._registry = registry
@@ -48,25 +55,28 @@ class Addresses:
         self._limits: PeerLimits = context.limits
         self._allow = allow
         self._tls = tls
+        self._origins = origins
         self._reserved = reserved
         self._listeners: list[Listener] = []
         self._closed: list[socket.socket] | None = []  # ports that open with the edge; None: it has started
         self._dialers: list[Dialer] = []
         self._relays: list[RelayConnector] = []
-        self._handshakes: dict[TlsSocket, Handshake] = {}  # of clients that are not links yet
+        self._handshakes: dict[Layer, Handshake] = {}  # of clients that are not links yet
 
     # ── for any thread ────────────────────────────────────────────────────────────────────────────────────────
 
-    def listen(self, host: str, port: int, tls: bool) -> tuple[str, int]:
+    def listen(self, host: str, port: int, tls: bool, websocket: bool) -> tuple[str, int]:
         """Accept peers at this address; see ``TcpEdge.listen``."""
-        return self._listen(host, port, self._registry.up, tls)
+        return self._listen(host, port, self._registry.up, self._layers(tls, websocket))
 
-    def relay(self, host: str, port: int, to: tuple[str, int], tls: bool, tls_to: bool) -> tuple[str, int]:
+    def relay(
+        self, host: str, port: int, to: tuple[str, int], tls: bool, tls_to: bool, websocket: bool
+    ) -> tuple[str, int]:
         """Accept peers at this address, each with a connection to a server; see ``TcpEdge.relay``."""
         _check_port(*to)
         secure = self._securer(to[0]) if tls_to else None
         relay = RelayConnector(*to, self._registry.pair_up, self._loop, self._reporter, secure)
-        bound = self._listen(host, port, relay.take, tls)
+        bound = self._listen(host, port, relay.take, self._layers(tls, websocket))
         self._relays.append(relay)
         return bound
 
@@ -92,11 +102,21 @@ class Addresses:
         """The servers that are not connected."""
         return [LinkInfo(0, dialer.target, "client", False) for dialer in self._dialers if not dialer.link]
 
-    def _listen(self, host: str, port: int, up: Up, tls: bool) -> tuple[str, int]:
-        context = self._tls.server() if tls else None
+    def _layers(self, tls: bool, websocket: bool) -> list[Lay]:
+        """What is laid on the connections of clients, the lowest first.  Raises ConfigError, Unavailable."""
+        layers: list[Lay] = []
+        if tls:
+            layers.append(partial(TlsSocket, context=self._tls.server(), server_side=True))
+        if websocket:
+            with in_use("websocket"):
+                from igtl_gateway.edges.tcp.websocket import Origins, WebSocketSocket
+            layers.append(partial(WebSocketSocket, origins=Origins(self._origins)))
+        return layers
+
+    def _listen(self, host: str, port: int, up: Up, layers: Sequence[Lay]) -> tuple[str, int]:
         sock = listening_socket(host, port, self._allow, self._reserved)
         bound: tuple[str, int] = sock.getsockname()[:2]
-        accepted = partial(self._start_tls, up, context) if context else up
+        accepted = partial(self._lay, up, layers) if layers else up
         listener = Listener(sock, self._allow, self._over_limit, accepted, self._loop, self._reporter, self._refusals)
         with self._registry.changed:
             if self._loop.stopping:
@@ -110,11 +130,11 @@ class Addresses:
         self._loop.call_soon(listener.open, listener.failed)
         return bound
 
-    def _securer(self, host: str) -> Callable[[socket.socket], TlsSocket]:
+    def _securer(self, host: str) -> Callable[[socket.socket], Layer]:
         """The function that puts TLS on a connection to that host.  Raises ConfigError."""
         context = self._tls.client()
 
-        def secure(sock: socket.socket) -> TlsSocket:
+        def secure(sock: socket.socket) -> Layer:
             tune_socket(sock)
             return TlsSocket(sock, context, server_side=False, host=host)
 
@@ -139,36 +159,39 @@ class Addresses:
         clients = self._registry.clients() + sum(relay.waiting for relay in self._relays)
         return f"{counted(most, 'client')} {by_count(most, 'is', 'are')} connected already" if clients >= most else ""
 
-    def _start_tls(self, up: Up, context: Context, sock: socket.socket, peer: str) -> None:
-        """A client connected that has to complete a TLS handshake first.
+    def _lay(self, up: Up, layers: Sequence[Lay], sock: AnySocket, peer: str) -> None:
+        """A client connected that has to complete a handshake first: that of the first of these layers.
 
         Beside the connected clients the same number may be in the handshake.  One more takes the place of the one
         that has been silent for longest: no certificate is needed to be silent, and a client that has one must be
         able to connect.
         """
-        tune_socket(sock)
+        if isinstance(sock, socket.socket):
+            tune_socket(sock)
         if len(self._handshakes) >= self._limits.max_clients:
             waiting = self._handshakes.values()
             next((one for one in waiting if not one.sock.begun), next(iter(waiting))).yield_to_newer()
-        secured = TlsSocket(sock, context, server_side=True)
+        layer = layers[0](sock)
 
         def done() -> None:
-            del self._handshakes[secured]
+            del self._handshakes[layer]
             if reason := self._over_limit():
-                self._refusals.refuse(secured, peer, reason)
+                self._refusals.refuse(layer, peer, reason)
+            elif rest := layers[1:]:
+                self._lay(up, rest, layer, peer)
             else:
-                up(secured, peer)
+                up(layer, peer)
 
         def refused(reason: str, detail: str) -> None:
-            del self._handshakes[secured]
-            self._refusals.refuse(secured, peer, reason, detail)
+            del self._handshakes[layer]
+            self._refusals.refuse(layer, peer, reason, detail)
 
         def failed(exc: Exception) -> None:
             self._reporter.note_error(exc)
-            if handshake := self._handshakes.pop(secured, None):
+            if handshake := self._handshakes.pop(layer, None):
                 handshake.cancel()
 
-        self._handshakes[secured] = handshake = Handshake(secured, self._loop, done, refused, failed)
+        self._handshakes[layer] = handshake = Handshake(layer, self._loop, done, refused, failed)
         handshake.begin(self._limits.handshake_s)
 
 

@@ -12,11 +12,12 @@ from functools import partial
 from typing import Any
 
 from igtl_gateway.base.once import Once
+from igtl_gateway.edges.tcp.handshake import Handshake
+from igtl_gateway.edges.tcp.layer import AnySocket, Layer
 from igtl_gateway.edges.tcp.link import Link
 from igtl_gateway.edges.tcp.loop import WRITE, Loop
 from igtl_gateway.edges.tcp.reporter import Reporter
 from igtl_gateway.edges.tcp.sockets import address_text, resolve
-from igtl_gateway.edges.tcp.tls import Handshake, TlsSocket
 from igtl_gateway.gateway.log.note import Level, Note
 
 #: Results of an attempt that has begun.
@@ -41,11 +42,11 @@ class Dialer:
         self,
         host: str,
         port: int,
-        up: Callable[[socket.socket | TlsSocket, str, Dialer], None],
+        up: Callable[[AnySocket, str, Dialer], None],
         loop: Loop,
         reporter: Reporter,
         gave_up: Callable[[Dialer, str], None] | None = None,
-        secure: Callable[[socket.socket], TlsSocket] | None = None,
+        secure: Callable[[socket.socket], Layer] | None = None,
     ) -> None:
         self.target = address_text((host, port))
         self.link: Link | None = None
@@ -153,7 +154,7 @@ class Dialer:
         self._handshake = Handshake(secured, self._loop, done, self._handshake_failed, self.failed)
         self._handshake.begin(_CONNECT_TIMEOUT_S)
 
-    def _handshake_done(self, sock: TlsSocket, place: str) -> None:
+    def _handshake_done(self, sock: Layer, place: str) -> None:
         self._handshake = None
         self._link_up(sock, place, self)
 

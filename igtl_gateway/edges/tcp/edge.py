@@ -53,11 +53,13 @@ class TcpEdge:
             the end, ``reason`` and the counts.
         on_note: link number (0 if none) and a fact: ``truncated``, ``too_large``, ``stalled``, ``unreachable``,
             ``idle``, ``out_of_memory``, ``queue_drop``, ``queue_full``, ``rate_limited``, ``refused``,
-            ``tls_failed``, ``accept_failed``, ``connect_failed``, ``callback_failed``, ``internal_error``.
+            ``tls_failed``, ``websocket_failed``, ``accept_failed``, ``connect_failed``, ``callback_failed``,
+            ``internal_error``.
         clock: described above.
         limits: what a peer may cost.
         allow: networks (CIDR) whose peers may connect beside this host's own, or ``"any"``.
         tls: files for the connections with TLS.
+        origins: whose pages may connect over WebSocket beside those of this machine (``https://HOST[:PORT]``, ``*``).
         passage: the native passage, whose streams the links may have; None: there is none.
         reserved: ports that are taken already; `listen` has them.
         admission: when large messages of peers pass; None: at once.
@@ -78,6 +80,7 @@ class TcpEdge:
         allow: Sequence[str] = (),
         when_full: Literal["drop", "block"] = "drop",
         tls: TlsFiles = _NO_FILES,
+        origins: Sequence[str] = (),
         passage: Passage | None = None,
         reserved: ReservedPorts | None = None,
         admission: Admission | None = None,
@@ -111,25 +114,33 @@ class TcpEdge:
         self._native_reader = native_reader
         self._registry = LinkRegistry(context, on_link)
         self._links = self._registry.links  # the same table, at hand for every message
-        self._addresses = Addresses(self._registry, context, AllowList(allow), tls, reserved)
+        self._addresses = Addresses(self._registry, context, AllowList(allow), tls, origins, reserved)
         self._flush_s = 0.0
         self._finished = False
 
     # ── for any thread ────────────────────────────────────────────────────────────────────────────────────────
 
-    def listen(self, host: str, port: int, *, tls: bool = False) -> tuple[str, int]:
+    def listen(self, host: str, port: int, *, tls: bool = False, websocket: bool = False) -> tuple[str, int]:
         """Accept peers at this address from `start` on; port 0 chooses a free one.  Returns the address and port bound.
 
         Before, a peer waits for its connection, or is refused (``edges.reserved``).
 
-        With ``tls`` clients must use TLS, and need a certificate where there is a CA for that.
+        With ``tls`` clients must use TLS, and need a certificate where there is a CA for that; with ``websocket`` they
+        speak WebSocket, one message of OpenIGTLink in each binary one.
         Raises ConfigError if the address is invalid, or open to other hosts without an allow-list, and after ``stop``;
-        Unavailable if the address is in use, or reserved by the system.
+        Unavailable if the address is in use, or reserved by the system, or the extra is not installed.
         """
-        return self._addresses.listen(host, port, tls)
+        return self._addresses.listen(host, port, tls, websocket)
 
     def relay(
-        self, host: str, port: int, to: tuple[str, int], *, tls: bool = False, tls_to: bool = False
+        self,
+        host: str,
+        port: int,
+        to: tuple[str, int],
+        *,
+        tls: bool = False,
+        tls_to: bool = False,
+        websocket: bool = False,
     ) -> tuple[str, int]:
         """Accept peers at this address, each with a connection of its own to the server ``to``.
 
@@ -137,9 +148,10 @@ class TcpEdge:
         number of the client's as ``partner``.  When one closes, so does the other.  A link is read no faster than its
         partner takes what is sent to it; so what is received from one must be sent to the other, within ``on_frame``.
 
-        With ``tls`` the clients use TLS, with ``tls_to`` the server does.  Returns and raises as ``listen``.
+        With ``tls`` and ``websocket`` the clients use these, with ``tls_to`` the server uses TLS.  Returns and raises
+        as ``listen``.
         """
-        return self._addresses.relay(host, port, to, tls, tls_to)
+        return self._addresses.relay(host, port, to, tls, tls_to, websocket)
 
     def connect(self, host: str, port: int, *, tls: bool = False) -> None:
         """Stay connected to this server: try until it is there, and again whenever the connection ends.

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Callable
 from functools import partial
 
 from igtl_gateway.base.quantities import count_text
+from igtl_gateway.edges.tcp.layer import AnySocket
 from igtl_gateway.edges.tcp.link_info import LinkCounters, Role
 from igtl_gateway.edges.tcp.link_parts import LinkContext, NativeEnds
 from igtl_gateway.edges.tcp.liveness import Liveness
@@ -15,7 +15,6 @@ from igtl_gateway.edges.tcp.receiver import Receiver
 from igtl_gateway.edges.tcp.reporter import error_note
 from igtl_gateway.edges.tcp.sender import Sender
 from igtl_gateway.edges.tcp.sockets import address_text, unconfirmed_bytes
-from igtl_gateway.edges.tcp.tls import TlsSocket
 from igtl_gateway.edges.tcp.turns import Turn
 from igtl_gateway.gateway.log.note import STOPPED, Level, Note
 from igtl_gateway.native.passage import Link as NativeLink
@@ -28,7 +27,7 @@ _ERRORS_MAX = 3  # unexpected errors of our own code in a link's life; this one 
 _FAULTS = frozenset(
     {
         *("too_large", "out_of_memory", "stalled", "unreachable", "idle", "queue_full"),
-        *("internal_error", "refused", "tls_failed"),
+        *("internal_error", "refused", "tls_failed", "websocket_failed"),
     }
 )
 
@@ -54,7 +53,7 @@ class Link:
     def __init__(
         self,
         number: int,
-        sock: socket.socket | TlsSocket,
+        sock: AnySocket,
         role: Role,
         peer: str,
         context: LinkContext,
@@ -75,7 +74,7 @@ class Link:
         self.native = self._make_native()
         self.sender = self._make_sender()
         self.receiver = self._make_receiver()
-        self.liveness = Liveness(sock, self, self.sender, self.receiver, context)
+        self.liveness = self._make_liveness()
         self._is_finishing = False  # we send no more than the queue; what the peer still sends is read
         self._errors = 0
 
@@ -90,6 +89,14 @@ class Link:
 
     def _make_receiver(self) -> Receiver:
         return Receiver(self._sock, self, self._context, self.native)
+
+    def _make_liveness(self) -> Liveness:
+        return Liveness(self._sock, self, self.sender, self.receiver, self._context)
+
+    @property
+    def manner(self) -> str:
+        """How the peer is connected, behind the words "connected to PLACE"."""
+        return ""
 
     @property
     def facts(self) -> dict[str, str]:

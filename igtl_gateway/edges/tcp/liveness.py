@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-import socket
 from functools import partial
 
 from igtl_gateway.base.quantities import count_text, duration_text
 from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.edges.tcp.layer import AnySocket
 from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife
 from igtl_gateway.edges.tcp.receiver import Receiver
 from igtl_gateway.edges.tcp.sender import Sender
 from igtl_gateway.edges.tcp.sockets import UNANSWERED_S, unanswered_s
-from igtl_gateway.edges.tcp.tls import TlsSocket
 from igtl_gateway.gateway.log.note import Level
 
 
@@ -21,7 +20,7 @@ class Liveness:
 
     def __init__(
         self,
-        sock: socket.socket | TlsSocket,
+        sock: AnySocket,
         link: LinkLife,
         sender: Sender,
         receiver: Receiver,

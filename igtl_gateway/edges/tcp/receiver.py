@@ -7,7 +7,6 @@ socket is not read, and TCP makes the peer wait.
 from __future__ import annotations
 
 import os
-import socket
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -17,10 +16,11 @@ from igtl_gateway.base.errors import MessageTooLarge
 from igtl_gateway.base.quantities import count_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.edges.tcp.aside import Job
+from igtl_gateway.edges.tcp.layer import AnySocket, LayerError
 from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife, NativeEnds
 from igtl_gateway.edges.tcp.outbox import Part
 from igtl_gateway.edges.tcp.reporter import NOTE_EVERY_S
-from igtl_gateway.edges.tcp.tls import TLS_TO_PLAIN, TlsError, TlsSocket
+from igtl_gateway.edges.tcp.tls import TLS_TO_PLAIN
 from igtl_gateway.edges.tcp.turns import LARGE_BYTES, QUANTUM_NS
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire.framer import Framer
@@ -100,7 +100,7 @@ class Receiver:
 
     def __init__(
         self,
-        sock: socket.socket | TlsSocket,
+        sock: AnySocket,
         link: LinkLife,
         context: LinkContext,
         native: NativeEnds | None = None,
@@ -187,8 +187,8 @@ class Receiver:
             count = self._sock.recv_into(self._room)
         except (BlockingIOError, InterruptedError):
             return False
-        except TlsError as exc:
-            self._link.fault(Level.WARN, "tls_failed", f"{self._link.peer} sent invalid TLS records: {exc}")
+        except LayerError as exc:
+            self._link.fault(Level.WARN, exc.code, f"{self._link.peer} sent {exc.what}: {exc}")
             return False
         except OSError as exc:
             self._link.broken(f"receiving failed: {exc.strerror or exc}")
@@ -387,7 +387,11 @@ class Receiver:
             self._context.refusals.counts[TLS_TO_PLAIN] += 1
             self._link.fault(Level.WARN, "refused", f"connection of {self._link.peer} refused: {TLS_TO_PLAIN}")
         else:
-            self._link.fault(Level.ERROR, "too_large", f"message too large: {exc}")
+            http = "; it speaks HTTP, expected at ws://HOST:PORT" if self._is_http() else ""
+            self._link.fault(Level.ERROR, "too_large", f"message too large: {exc}{http}")
+
+    def _is_http(self) -> bool:
+        return not self.messages and self._framer.pending_head().startswith(b"GET /")
 
     def _out_of_memory(self) -> None:
         self._link.fault(Level.ERROR, "out_of_memory", "not enough memory for the announced message")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -10,12 +9,12 @@ from functools import partial
 
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.edges.tcp.dialer import Dialer
+from igtl_gateway.edges.tcp.layer import AnySocket, Layer
+from igtl_gateway.edges.tcp.layered_link import LayeredLink
 from igtl_gateway.edges.tcp.link import Link
 from igtl_gateway.edges.tcp.link_info import LinkCounters, LinkInfo, Role
 from igtl_gateway.edges.tcp.link_parts import LinkContext
 from igtl_gateway.edges.tcp.sockets import tune_socket
-from igtl_gateway.edges.tcp.tls import TlsSocket
-from igtl_gateway.edges.tcp.tls_link import TlsLink
 from igtl_gateway.gateway.log.note import Level, Note
 
 
@@ -96,7 +95,7 @@ class LinkRegistry:
 
     # ── for the I/O thread ────────────────────────────────────────────────────────────────────────────────────
 
-    def up(self, sock: socket.socket | TlsSocket, peer: str, dialer: Dialer | None = None) -> None:
+    def up(self, sock: AnySocket, peer: str, dialer: Dialer | None = None) -> None:
         """A connection was made: give it a number, and report it."""
         link = self._make(sock, peer, "client" if dialer else "server")
         if dialer:
@@ -105,9 +104,7 @@ class LinkRegistry:
         asked = {"asked": dialer.target} if dialer and dialer.target != peer else {}
         self._announce(link, **asked)
 
-    def pair_up(
-        self, client: socket.socket | TlsSocket, peer: str, server: socket.socket | TlsSocket, target: str
-    ) -> None:
+    def pair_up(self, client: AnySocket, peer: str, server: AnySocket, target: str) -> None:
         """A client connected, and a connection to its server was made."""
         try:
             one = self._make(client, peer, "server")
@@ -143,12 +140,12 @@ class LinkRegistry:
         for link in list(self.links.values()):
             self._loop.run(partial(link.liveness.check, step_ns), link.failed)
 
-    def _make(self, sock: socket.socket | TlsSocket, peer: str, role: Role) -> Link:
+    def _make(self, sock: AnySocket, peer: str, role: Role) -> Link:
         """A link of the next number, not yet announced."""
         try:
             link: Link
-            if isinstance(sock, TlsSocket):
-                link = TlsLink(self._last_number + 1, sock, role, peer, self._context, self._link_down)
+            if isinstance(sock, Layer):
+                link = LayeredLink(self._last_number + 1, sock, role, peer, self._context, self._link_down)
             else:
                 tune_socket(sock)
                 link = Link(self._last_number + 1, sock, role, peer, self._context, self._link_down)
@@ -168,6 +165,7 @@ class LinkRegistry:
     def _announce(self, link: Link, **facts: int | str) -> None:
         data = {"peer": link.peer, "local": link.local, "role": link.role} | link.facts | facts
         text = f"{link.peer} connected to {link.local}" if link.role == "server" else f"connected to {link.peer}"
+        text += link.manner
         note = Note(Level.INFO, "link_up", text, data=data)
         self._context.reporter.call("on_link", self._on_link, link.number, True, note)
         link.announced = True

@@ -6,13 +6,13 @@ import socket
 from collections.abc import Callable
 
 from igtl_gateway.edges.tcp.dialer import Dialer
+from igtl_gateway.edges.tcp.layer import AnySocket, Layer
 from igtl_gateway.edges.tcp.loop import Loop
 from igtl_gateway.edges.tcp.reporter import Reporter
-from igtl_gateway.edges.tcp.tls import TlsSocket
 from igtl_gateway.gateway.log.note import Level, Note
 
 #: Socket and address of a client, and of the server.
-_UpPair = Callable[[socket.socket | TlsSocket, str, socket.socket | TlsSocket, str], None]
+_UpPair = Callable[[AnySocket, str, AnySocket, str], None]
 
 
 class RelayConnector:
@@ -29,7 +29,7 @@ class RelayConnector:
         up: _UpPair,
         loop: Loop,
         reporter: Reporter,
-        secure: Callable[[socket.socket], TlsSocket] | None = None,
+        secure: Callable[[socket.socket], Layer] | None = None,
     ) -> None:
         self._host = host
         self._port = port
@@ -37,14 +37,14 @@ class RelayConnector:
         self._loop = loop
         self._reporter = reporter
         self._secure = secure  # puts TLS on the connections to the server
-        self._waiting: dict[Dialer, tuple[socket.socket | TlsSocket, str]] = {}
+        self._waiting: dict[Dialer, tuple[AnySocket, str]] = {}
 
     @property
     def waiting(self) -> int:
         """Clients for which a connection is being made."""
         return len(self._waiting)
 
-    def take(self, client: socket.socket | TlsSocket, peer: str) -> None:
+    def take(self, client: AnySocket, peer: str) -> None:
         """Connect to the server for a new client."""
         dialer = Dialer(self._host, self._port, self._made, self._loop, self._reporter, self._gave_up, self._secure)
         self._waiting[dialer] = (client, peer)
@@ -56,7 +56,7 @@ class RelayConnector:
             dialer.hang_up()
             self._gave_up(dialer, "stopped")
 
-    def _made(self, server: socket.socket | TlsSocket, target: str, dialer: Dialer) -> None:
+    def _made(self, server: AnySocket, target: str, dialer: Dialer) -> None:
         client, peer = self._waiting.pop(dialer)
         self._link_up(client, peer, server, target)
 

@@ -11,14 +11,12 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, suppress
 
 from igtl_gateway.base.quantities import count_text
+from igtl_gateway.edges.tcp.layer import AnySocket, send_parts
 from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife, NativeEnds
 from igtl_gateway.edges.tcp.outbox import IOV_MAX, Outbox, Part, QueuedMessage
 from igtl_gateway.edges.tcp.reporter import NOTE_EVERY_S
-from igtl_gateway.edges.tcp.tls import TlsSocket
 from igtl_gateway.gateway.log.note import Level, Note
 
-#: As much is joined to one packet where the system sends only one buffer at a time.
-_JOINED_BYTES = 64 << 10
 _BLOCKED_POLL_MS = 100  # the longest time after which a waiting sender notices that its link was closed
 
 
@@ -38,7 +36,7 @@ class Sender:
 
     def __init__(
         self,
-        sock: socket.socket | TlsSocket,
+        sock: AnySocket,
         link: LinkLife,
         context: LinkContext,
         native: NativeEnds | None = None,
@@ -228,7 +226,7 @@ class Sender:
     def _write(self, parts: Sequence[Part]) -> int:
         """Bytes that the kernel takes now; under the lock.  A link that fails is muted, and 0 returned."""
         try:
-            return self._sock.send(parts[0]) if len(parts) == 1 else _send_parts(self._sock, parts)
+            return self._sock.send(parts[0]) if len(parts) == 1 else send_parts(self._sock, parts)
         except (BlockingIOError, InterruptedError):
             return 0
         except OSError as exc:
@@ -325,30 +323,12 @@ class Sender:
 
 if sys.platform == "win32":
 
-    def _send_parts(sock: socket.socket | TlsSocket, parts: Sequence[Part]) -> int:
-        """Send what follows each other; return the number of bytes that the system took.
-
-        Windows gives no ``sendmsg``: small parts are joined, so that they do not become packets of their own.
-        """
-        if isinstance(sock, TlsSocket):
-            return sock.sendmsg(parts)
-        size = 0
-        for count, part in enumerate(parts):
-            size += len(part)
-            if size > _JOINED_BYTES:
-                return sock.send(b"".join(parts[:count]) if count else part)
-        return sock.send(b"".join(parts))
-
     def _await_room(descriptor: int) -> None:
         # If the link is closed meanwhile, this returns at once or late, and the caller finds it muted.
         with suppress(OSError, ValueError):
             select.select((), (descriptor,), (descriptor,), _BLOCKED_POLL_MS / 1000)
 
 else:
-
-    def _send_parts(sock: socket.socket | TlsSocket, parts: Sequence[Part]) -> int:
-        """Send what follows each other; return the number of bytes that the system took."""
-        return sock.sendmsg(parts)
 
     def _await_room(descriptor: int) -> None:
         # If the link is closed meanwhile, this returns at once or late, and the caller finds it muted.

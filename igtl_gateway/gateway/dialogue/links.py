@@ -15,6 +15,7 @@ from igtl_gateway.convert.profiles import PLUS_1
 from igtl_gateway.convert.rosmsg import Header as RosHeader
 from igtl_gateway.gateway.activity import Activity
 from igtl_gateway.gateway.denials import Denials
+from igtl_gateway.gateway.dialogue.clocks import ClockQuestions
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.log.entry import Entry
@@ -63,6 +64,7 @@ class Links:
         frames: TfReceiver,
         commands: Commands,
         activity: Activity,
+        questions: ClockQuestions,
         shared: SharedNames | None = None,
     ) -> None:
         self._config = config
@@ -75,6 +77,7 @@ class Links:
         self._frames = frames
         self._commands = commands
         self._activity = activity
+        self._questions = questions
         self._shared = shared
 
     def take(self, entry: Entry) -> Outcome:
@@ -85,6 +88,7 @@ class Links:
             self._peers.changed(link)
             if event.code == LINK_UP:
                 peer = self._peers.up(link, event.data, entry.stamp_ns)
+                self._questions.clocks.up(link, peer.address)
                 if peer.recent:
                     peer.held_until_ns = entry.stamp_ns + _HELLO_NS
                 elif self._activity.active:  # else when it becomes active
@@ -93,6 +97,7 @@ class Links:
                 outcome.tallies += self._final_counts(link, event.data)
                 self._peers.down(link)
                 self._guard.on_link_down(link)
+                self._questions.on_link_down(link)
                 if self._shared:
                     self._shared.on_link_down(link)
                 outcome.items += self._commands.on_link_down(entry, link)

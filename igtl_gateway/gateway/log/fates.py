@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 CONVERTED, UNSUBSCRIBED, RECORDED_ONLY = "converted", "unheard", "recorded_only"
-PROBED, RELAYED, MARKED, GREETED = "probed", "relayed", "marked", "greeted"
+PROBED, RELAYED, MARKED, GREETED, ASKED = "probed", "relayed", "marked", "greeted", "asked"
 
 #: Fate of a message that was not dropped → its text for people.  Every other word is the reason of a loss.
 KEPT = {
@@ -13,6 +13,7 @@ KEPT = {
     PROBED: "the test message of `igtl-gateway doctor`",
     RELAYED: "forwarded by a relay",
     GREETED: "the greeting of 3D Slicer, a STATUS without a state",
+    ASKED: "a question for the clock, or the answer to one",
     MARKED: "a COMMAND Mark, which the gateway answered",
 }
 

@@ -215,6 +215,17 @@ class StampTiming:
             return None
         return (self._last[1] - self._first[1]) / (self._last[0] - self._first[0]) * 1e6
 
+    @property
+    def ahead_ns(self) -> int | None:
+        """By how much the sender's clock is ahead of our own at least, ns; None without a stamp.
+
+        Of the last ten to twenty seconds, because clocks drift: a stamp is made before its message arrives.
+        """
+        if not self._previous_ns:
+            return None
+        is_recent = self._last is not None and self._block_end_ns - self._last[0] <= 2 * _BLOCK_NS
+        return -min(self._block_least_ns, self._last[1] if self._last and is_recent else self._block_least_ns)
+
     def to_dict(self) -> dict[str, Any]:
         """As JSON values."""
         if not self.stamped:
@@ -278,6 +289,11 @@ def age_text(age_ns: float, text: str) -> str:
         what = "stamped by a clock that does not count from 1970" if is_unset else "recorded in another session"
         return f"{what}: offset {duration_text(age_ns)}"
     return text.format(duration_text(age_ns))
+
+
+def rounded_to(stamp_ns: int) -> int:
+    """The coarsest step that a stamp may be rounded to, as it lies on it, ns; 0: none.  One in a thousand does so."""
+    return next((step for step in _STEPS if _lies_on(stamp_ns, step)), 0)
 
 
 def _lies_on(stamp_ns: int, step_ns: int) -> bool:

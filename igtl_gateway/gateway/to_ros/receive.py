@@ -9,13 +9,14 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.profiles import is_hello
 from igtl_gateway.gateway.activity import INACTIVE, Activity
 from igtl_gateway.gateway.denials import Denials
+from igtl_gateway.gateway.dialogue.clocks import ClockQuestions
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.dialogue.links import Links
 from igtl_gateway.gateway.dialogue.marking import Marking
 from igtl_gateway.gateway.dialogue.probing import is_probe
 from igtl_gateway.gateway.dialogue.querying import Queries
 from igtl_gateway.gateway.log.entry import Entry
-from igtl_gateway.gateway.log.fates import GREETED, MARKED, PROBED
+from igtl_gateway.gateway.log.fates import ASKED, GREETED, MARKED, PROBED
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_failure
 from igtl_gateway.gateway.peers import Peer, Peers
@@ -48,6 +49,7 @@ class IgtlReceiver:
         commands: Commands,
         activity: Activity,
         marking: Marking,
+        questions: ClockQuestions,
     ) -> None:
         self._config = config
         self._peers = peers
@@ -59,6 +61,7 @@ class IgtlReceiver:
         self._commands = commands
         self._activity = activity
         self._marking = marking
+        self._questions = questions
 
     def take(self, entry: Entry) -> Outcome:
         """Process a message of any type."""
@@ -73,6 +76,9 @@ class IgtlReceiver:
         news = self._links.learned(entry, peer, message) if peer else []
         if message.deviation:
             news.append(deviation_finding(entry, peer, message.deviation))
+        clock = self._questions.take(entry, peer, message) if peer else None
+        if clock is not None:
+            return Outcome([*news, *clock], ASKED, decoded=True)
         if denied := self._denied.message(message):
             return Outcome([*news, *self._deny(entry, peer, message, denied)], "denied", decoded=True)
         if not self._activity.active:

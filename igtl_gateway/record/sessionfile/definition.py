@@ -33,6 +33,13 @@ class Definition:
         text = as_message(readable(self.data, self.encoding, ros_type), ros_type)
         return text or ("" if DerivedType.of(ros_type) else NO_FIELDS)
 
+    def file_hash(self, ros_type: str) -> str:
+        """Return the hash as a file has it: none of an event or a feedback.
+
+        Of their types rosbags (0.11) computes another one, and then it opens no message of the file.
+        """
+        return "" if DerivedType.of(ros_type) else self.type_hash
+
     def is_read(self, ros_type: str) -> bool:
         """Return whether readers of this program know its dialect."""
         if self.encoding in (MSG, IDL):

@@ -445,8 +445,8 @@ class SessionWriter:
     def _register(self, topic: str, ros_type: str, kind: Kind, facts: dict[str, str]) -> int:
         metadata = {layout.QOS_KEY: layout.qos_yaml(Qos()), layout.KIND_KEY: kind.value, **facts}
         definition = self._register_schema(ros_type)
-        if definition and definition.type_hash:
-            metadata[layout.TYPE_HASH_KEY] = definition.type_hash
+        if definition and (type_hash := definition.file_hash(ros_type)):
+            metadata[layout.TYPE_HASH_KEY] = type_hash
         with self._disk_errors():
             return self._mcap.register_channel(topic, layout.MESSAGE_ENCODING, self._schemas[ros_type], metadata)
 

@@ -7,6 +7,7 @@ from typing import Any
 from igtl_gateway.addons.deidentify.context import Context
 from igtl_gateway.addons.deidentify.notes import CODES, OTHER, clean_mark, clean_note, known_kinds, known_types
 from igtl_gateway.addons.deidentify.profile import BASIC, Profile, TextRule
+from igtl_gateway.gateway.log.clock_offset import DEVICE
 from igtl_gateway.gateway.log.marks import Mark, MarkNote
 from igtl_gateway.gateway.log.note import Level, Note
 from tests.tables import table
@@ -42,6 +43,8 @@ FACTS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     ),
     "numbers of another kind": ({"dropped_messages": True, "dropped": {NAME: 3}, "partner": [3]}, {}),
     "other facts": ({"reason": NAME, "who": NAME, NAME: {NAME: 1}, "path": NAME}, {}),
+    "a question for a clock": ({"report": True}, {"report": True}),
+    "a report of another kind": ({"report": NAME}, {}),
     "device": ({"device": NAME}, {"device": context_of().names.name(NAME)}),
     "orders": (
         {"orders": {"0": ["command_late", f"{NAME} 0.5 s"], "12": [NAME, NAME], NAME: ["command_late", ""], "1": NAME,
@@ -119,6 +122,10 @@ def test_names_of_a_mark_have_a_bound_and_its_text_has_no_line_breaks() -> None:
     note = MarkNote("l" * 64, "x", "w" * 64).note()
     new = MarkNote.of(Note.of(clean_note(note.pack(), context_of(profile))))
     assert new is not None and (new.label, new.text, new.who) == ("l" * 64, "", "w" * 64)
+
+
+def test_the_device_of_questions_for_a_clock_stays() -> None:
+    assert context_of().names.name(DEVICE) == DEVICE
 
 
 def test_types_and_kinds_that_nobody_made_up_stay() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -155,21 +156,43 @@ TEXTS_OF_EVENTS = {
 }
 
 
+ASKED = exchanges.event(REQUEST_SENT, 0, 1, request=b"\1")
+
+
+def of_a_service_in_mcap(path: Path, encoding: str, text: str) -> None:
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start("ros2", "test")
+        schema = writer.register_schema("p/srv/S_Event", encoding, text.encode())
+        channel = writer.register_channel("/s/_service_event", "cdr", schema)
+        writer.add_message(channel, 5, ASKED, 5)
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+def of_a_service_in_sqlite(path: Path, encoding: str, text: str) -> None:
+    """The definition stands under the type of the service."""
+    with closing(sqlite3.connect(path)) as base:
+        base.execute("CREATE TABLE topics(id, name, type, serialization_format)")
+        base.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data)")
+        base.execute("CREATE TABLE message_definitions(topic_type, encoding, encoded_message_definition)")
+        base.execute("INSERT INTO topics VALUES (1, '/s/_service_event', 'p/srv/S_Event', 'cdr')")
+        base.execute("INSERT INTO messages VALUES (1, 1, 5, ?)", (ASKED,))
+        base.execute("INSERT INTO message_definitions VALUES ('p/srv/S', ?, ?)", (encoding, text))
+        base.commit()
+
+
 @table(("encoding", "text"), TEXTS_OF_EVENTS.values(), ids=TEXTS_OF_EVENTS)
-def test_the_events_of_services_come_with_a_definition_that_all_read(encoding: str, text: str) -> None:
+@pytest.mark.parametrize("write", [of_a_service_in_mcap, of_a_service_in_sqlite])
+def test_the_events_of_services_come_with_a_definition_that_all_read(
+    write: Callable[[Path, str, str], None], encoding: str, text: str
+) -> None:
     with TemporaryDirectory() as name:
-        path = Path(name, "bag.mcap")
-        with path.open("wb") as stream:
-            writer = McapWriter(stream)
-            writer.start("ros2", "test")
-            schema = writer.register_schema("p/srv/S_Event", encoding, text.encode())
-            channel = writer.register_channel("/s/_service_event", "cdr", schema, {"topic_type_hash": "RIHS01_x"})
-            writer.add_message(channel, 5, exchanges.event(REQUEST_SENT, 0, 1, request=b"\1"), 5)
-            writer.finish()  # type: ignore[no-untyped-call]
+        path = Path(name, "bag")
+        write(path, encoding, text)
         with closing(Rosbag2(path)) as source:
-            assert [item.payload for item in source.items()] == [exchanges.event(REQUEST_SENT, 0, 1, request=b"\1")]
+            assert [item.payload for item in source.items()] == [ASKED]
             found = source.definition_of("p/srv/S_Event")
-    assert found and (found.encoding, found.type_hash) == ("ros2msg", "RIHS01_x")
+    assert found and found.encoding == "ros2msg"
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(found.data.decode(), "p/srv/S_Event"))
     assert {"p/msg/S_Request", "p/msg/S_Response", "service_msgs/msg/ServiceEventInfo"} <= store.fielddefs.keys()

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
@@ -20,6 +21,7 @@ from igtl_gateway.base.qos import Qos
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
+from tests import exchanges
 from tests.tables import table
 from tests.timing import quick
 
@@ -190,3 +192,28 @@ def test_rosbags_and_import_read_the_same_quality_of_service(tmp_path: Path) -> 
     with closing(Rosbag2(bag)) as source:
         assert source.qos_of("/a", STRING) == offered
         assert source.notes == []
+
+
+def test_services_and_actions_come_back_from_a_bag(tmp_path: Path) -> None:
+    """Event by event; rosbags opens the bag, which it does not with the hash of such a type."""
+    path = exchanges.write(tmp_path / "some.mcap")
+    out, account = exported(tmp_path, path)
+    with SessionFile.open(path) as file:
+        given = [(each.stamp_ns, each.channel, each.type, each.data()) for each in file.entries()]
+    assert sum(row.taken for row in account.rows) == len(given) and not account.notes
+    with closing(Rosbag2(out)) as bag:
+        assert [(each.time_ns, each.channel, each.type, bytes(each.payload)) for each in bag.items()] == given
+        assert bag.notes == []
+    with AnyReader([out]) as reader:
+        feedback = [
+            list(reader.deserialize(data, each.msgtype).feedback.sequence)  # type: ignore[attr-defined]
+            for each, _, data in reader.messages()
+            if each.topic.endswith("feedback")
+        ]
+    assert feedback == [[0, 1, 2], [0, 1, 2, 3]] * 4
+    for place in (out / "bag_0.mcap", path):
+        with place.open("rb") as stream:
+            summary = make_reader(stream).get_summary()
+        assert summary
+        events = {each.name: each for each in summary.schemas.values() if each.name.endswith("_Event")}
+        assert {each.encoding for each in events.values()} == {"ros2msg"} and len(events) == 4

@@ -22,6 +22,7 @@ from igtl_gateway.app.verification import verify_parts
 from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError, UnsupportedRecording
 from igtl_gateway.convert.common_msgs import FrameTransform, PoseStamped, TFMessage
 from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.gateway.dialogue.clocks import ask_note
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.marks import Mark
 from igtl_gateway.gateway.log.note import Level, Note
@@ -29,6 +30,7 @@ from igtl_gateway.record.sessionfile import merged
 from igtl_gateway.record.sessionfile.merged import Digest, Method
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
+from igtl_gateway.testing.gateway import ManualGateway
 from tests.places import FIXTURES
 from tests.replay.test_state_before import parts
 from tests.tables import table
@@ -79,6 +81,50 @@ def test_one_direction_is_a_bound(tmp_path: Path) -> None:
     assert (clock["method"], clock["low_s"]) == ("one_way", None)
     assert 1.7 <= clock["high_s"] <= 1.71
     assert facts["latencies"][0]["error_ms"] is None
+
+
+def ask_each_other(folder: Path, offset_ns: int, ways: int, *, step_ns: int = 0) -> list[Source]:
+    """Two gateways of which the first asks the second for its clock, or both ask; 2 ms there, 1 ms back."""
+    sides = [ManualGateway(start_ns=START_NS), ManualGateway(start_ns=START_NS + offset_ns)]
+    for side in sides:
+        side.connect()
+
+    def later(seconds: float) -> None:
+        for side in sides:
+            side.advance(seconds)
+
+    for second in range(20):
+        for asks, answers in ((0, 1), (1, 0))[:ways]:
+            note = ask_note(report=False).pack()
+            (question,) = sides[asks]._feed(Kind.EDGE_NOTE, (note,), links=(1,)).igtl()
+            later(0.002)
+            (answer,) = sides[answers].from_peer(question.data).igtl()
+            later(0.001)
+            sides[asks].from_peer(answer.data)
+        later(1)
+        if second == 10 and step_ns:
+            sides[1].now_ns += step_ns
+    for name, side in zip("ab", sides, strict=True):
+        side.save(folder / f"{name}.mcap")
+    return [Source("", folder / f"{name}.mcap") for name in "ab"]
+
+
+@pytest.mark.parametrize("ways", [1, 2])
+@pytest.mark.parametrize("offset_ns", [0, -(10**9) * 3600, 10**9])
+def test_questions_for_the_clock_bound_the_offset_on_both_sides(tmp_path: Path, offset_ns: int, ways: int) -> None:
+    facts = merge(ask_each_other(tmp_path, offset_ns, ways), tmp_path / "merged.mcap", given={})
+    clock = facts["parts"][1]["clock"]
+    assert clock["method"] == "both_ways"
+    assert clock["low_s"] <= offset_ns / 1e9 <= clock["high_s"] <= clock["low_s"] + 0.003_001
+    streams = {(row["from"], row["stream"]): row["min_ms"] for row in facts["latencies"]}
+    assert {("a", "GET_STATUS/igtl_clock"), ("b", "STATUS/igtl_clock")} <= set(streams)
+    assert verify_parts(tmp_path / "merged.mcap")[0].good
+
+
+def test_a_clock_that_was_set_between_questions_has_two_pieces(tmp_path: Path) -> None:
+    facts = merge(ask_each_other(tmp_path, 0, 1, step_ns=20_000_000), tmp_path / "merged.mcap", given={})
+    (pieces,) = facts["parts"][1]["clock"]["chain"]
+    assert len(pieces) == 2 and 0.017e9 < pieces[1][1] - pieces[0][1] < 0.023e9
 
 
 def test_each_part_is_the_recording(tmp_path: Path) -> None:

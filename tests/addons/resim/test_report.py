@@ -139,12 +139,12 @@ def test_most_streams_are_counted_only() -> None:
 
 
 def test_bytes_of_a_type_that_is_not_read_count(tmp_path: Path) -> None:
-    """Runs whose events of a service differed were called equal: no reader has messages of such a topic."""
+    """Runs whose requests of a service differed were called equal: no reader has messages of such a topic."""
 
     def run(number: int, *messages: bytes) -> Run:
         file = OutputFile(tmp_path / f"{number}.mcap", "lab.mcap")
-        stream = file.streams["/switch/_service_event"] = OutputStream(
-            "/switch/_service_event", "std_srvs/srv/SetBool_Event", Qos()
+        stream = file.streams["/switch/requests"] = OutputStream(
+            "/switch/requests", "std_srvs/srv/SetBool_Request", Qos()
         )
         for time_ns, data in enumerate(messages, 1):
             file.add(stream, time_ns, data)
@@ -157,7 +157,7 @@ def test_bytes_of_a_type_that_is_not_read_count(tmp_path: Path) -> None:
     one, same, other = run(1, b"\0\1\0\0\1", b"\0\1\0\0\2"), run(2, b"\0\1\0\0\1", b"\0\1\0\0\2"), run(3, b"\0\1\0\0\3")
     assert line_of(one, same) == "deterministic: 2 of 2 runs equal"
     assert line_of(one, other) == (
-        "NOT DETERMINISTIC: run 3 differs from run 1: /switch/_service_event: bytes of its messages differ, and their "
+        "NOT DETERMINISTIC: run 3 differs from run 1: /switch/requests: bytes of its messages differ, and their "
         "type cannot be read"
     )
     nothing = replace(run(4), streams={})
@@ -167,9 +167,9 @@ def test_bytes_of_a_type_that_is_not_read_count(tmp_path: Path) -> None:
             one,
             other,
             1,
-            "DIFFERENT from 3.mcap in 1 of 1 stream (1 run): /switch/_service_event: bytes of its messages",
+            "DIFFERENT from 3.mcap in 1 of 1 stream (1 run): /switch/requests: bytes of its messages",
         ),
-        (nothing, one, 1, "DIFFERENT from 1.mcap in 1 of 1 stream (1 run): /switch/_service_event, message 1 at 0"),
+        (nothing, one, 1, "DIFFERENT from 1.mcap in 1 of 1 stream (1 run): /switch/requests, message 1 at 0"),
     ):
         verdict = compare(RunResult(Path("lab.mcap"), None, [run_]), reference=baseline.outputs)
         assert (verdict.exit_code, verdict.line()[: len(line)]) == (code, line)
@@ -177,7 +177,7 @@ def test_bytes_of_a_type_that_is_not_read_count(tmp_path: Path) -> None:
 
 def test_a_baseline_without_digests_names_what_it_cannot_compare(tmp_path: Path) -> None:
     """As of an earlier version, or a bag of ROS: the stream was called equal."""
-    name, type_ = "/switch/_service_event", "std_srvs/srv/SetBool_Event"
+    name, type_ = "/switch/requests", "std_srvs/srv/SetBool_Request"
     paths = [tmp_path / "one.mcap", tmp_path / "other.mcap"]
     with patch.object(outputs, "ledger_of", lambda streams: {}):
         for path, data in zip(paths, (b"\0\1\0\0\1", b"\0\1\0\0\2"), strict=True):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
@@ -9,6 +11,8 @@ pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 from igtl_gateway.convert import igtl_msgs
 from igtl_gateway.convert.common_msgs import Log
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header, String
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from tests import exchanges
 
 from .conftest import Draw, without_time
 
@@ -57,3 +61,15 @@ def test_lists_name_what_is_in_them(draw: Draw) -> None:
     (document,) = drawn.one("topic")["TextDocument:text"]
     assert "T1 (Head) 256 x 256 x 180" in document
     assert "Jane" not in document  # a picture that is shown around names no patient
+
+
+def test_services_and_actions_are_lines(draw: Draw, tmp_path: Path) -> None:
+    """A call step by step, and the states of goals; an aborted one is a warning."""
+    with SessionFile.open(exchanges.write(tmp_path / "a.mcap")) as file:
+        drawn = draw(entries=file.entries())
+    assert not drawn.view.counts.without_picture and not drawn.view.counts.refused
+    rows = {row["TextLog:text"][0][13:]: row["TextLog:level"][0] for row in drawn.rows("session/log")}
+    assert rows["/arm/enable/_service_event: server sends response 1"] == "INFO"
+    assert rows["/fib/_action/feedback: goal 03030303 has feedback"] == "INFO"
+    assert rows["/fib/_action/status: goal 03030303 goes on"] == "INFO"
+    assert rows["/fib/_action/status: goal 09090909 aborted"] == "WARN"

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from rosbags.typesys import get_types_from_msg
 
+from igtl_gateway.base.errors import DamagedRecording
 from igtl_gateway.base.untrusted.decoding import MessageDecoder
-from igtl_gateway.base.untrusted.derived_types import DerivedType, as_message
+from igtl_gateway.base.untrusted.definitions import parse_definition
+from igtl_gateway.base.untrusted.derived_types import DerivedType, as_message, messages_of
 from igtl_gateway.base.untrusted.dialects import RULE
 from igtl_gateway.record.sessionfile.schemas import RosTypes
 from tests import exchanges
@@ -31,6 +36,13 @@ OTHERS = [
 @table("ros_type", OTHERS)
 def test_other_types_are_not_derived(ros_type: str) -> None:
     assert DerivedType.of(ros_type) is None
+
+
+def test_a_definition_of_a_file_is_for_the_messages_of_its_topics() -> None:
+    assert messages_of("p/srv/S") == ["p/srv/S_Event"]
+    assert messages_of("p/action/A") == [f"p/action/A_{each}" for each in SUFFIXES["action"]]
+    for other in ("p/msg/M", "p/srv/S_Event", "p/action/A_FeedbackMessage", ""):
+        assert messages_of(other) == [other]
 
 
 #: What stands in a file where the definition of ``p/srv/S_Event`` is expected.
@@ -79,3 +91,18 @@ def test_the_hashes_are_those_of_rosidl(monkeypatch: pytest.MonkeyPatch) -> None
     computed = RosTypes()
     assert {name: found.type_hash for name in stated if (found := computed.find(name))} == stated
     assert len(stated) >= 30
+
+
+_PIECES = st.sampled_from(
+    ["---", RULE, "SRV: p/srv/S", "ACTION: p/action/A", "MSG: p/T", "bool a", "p/T t", "---\r", "", "\0"]
+)
+
+
+@given(
+    st.lists(_PIECES | st.text(max_size=20), max_size=12),
+    st.sampled_from(["p/srv/S_Event", "p/action/A_GetResult_Event"]),
+)
+def test_any_text_is_a_definition_or_refused(lines: list[str], ros_type: str) -> None:
+    text = as_message("\n".join(lines), ros_type)
+    with suppress(DamagedRecording):
+        parse_definition(text, ros_type)

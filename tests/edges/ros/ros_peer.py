@@ -14,7 +14,9 @@ from importlib import import_module
 from typing import Any
 
 from rclpy.context import Context
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
@@ -37,7 +39,8 @@ def set_message_fields(message: Any, fields: dict[str, Any]) -> None:
 
 def as_dict(value: Any) -> Any:
     if not hasattr(value, "get_fields_and_field_types"):
-        return value
+        value = value.tolist() if hasattr(value, "tolist") else value  # sequences of numbers
+        return list(map(as_dict, value)) if isinstance(value, list) else value
     return {name: as_dict(getattr(value, name)) for name in value.get_fields_and_field_types()}
 
 
@@ -126,6 +129,19 @@ class Peer:
             time.sleep(period_s)
             setattr(message, counted, str(time.monotonic_ns()))
             self.publishers[topic].publish(message)
+
+    def acked(self, topic: str) -> bool:
+        """Wait until all readers of the publisher have its messages."""
+        done: bool = self.publishers[topic].wait_for_all_acked(Duration(seconds=TIMEOUT_S))
+        return done
+
+    def ready(self, topic: str) -> bool:
+        """Wait once for messages of the subscription, and take none."""
+        wait_set = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, self.context.handle)
+        wait_set.clear_entities()
+        wait_set.add_subscription(self.subscriptions[topic].handle)
+        wait_set.wait(TIMEOUT_S * 10**9)
+        return bool(wait_set.get_ready_entities("subscription"))
 
     def take(self, topic: str, count: int) -> list[list[Any]]:
         """Wait for this number of messages: ``[[bytes, fields]…]``; fewer if they do not arrive in time."""

@@ -16,8 +16,9 @@ import pytest
 from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.edges.tcp import PeerLimits, TcpEdge, TlsFiles
+from igtl_gateway.edges.tcp.handshake import Handshake
 from igtl_gateway.edges.tcp.loop import READ, WRITE, Loop
-from igtl_gateway.edges.tcp.tls import PLAIN_TO_TLS, TLS_TO_PLAIN, Handshake, TlsSocket
+from igtl_gateway.edges.tcp.tls import PLAIN_TO_TLS, TLS_TO_PLAIN, TlsSocket
 from tests.edges.tcp.world import BIG, DEADLINE_S, HERE, Peer, Seen, World, message, number_of, until
 
 PEMS = Path(__file__).parent / "pems"

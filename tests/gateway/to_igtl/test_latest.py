@@ -231,8 +231,10 @@ def test_a_live_session_that_forgets_is_verified(monkeypatch: pytest.MonkeyPatch
     check_recording(path, config, here.bridge.losses)
 
 
-@pytest.mark.parametrize("name", ["GET_TRANS", "GET_POSITION", "GET_QTRANS"])
-def test_a_message_that_cannot_be_converted_is_no_answer(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "answer"), [("GET_TRANS", "TRANSFORM"), ("GET_POSITION", "POSITION"), ("GET_QTRANS", "POSITION")]
+)
+def test_a_message_that_cannot_be_converted_is_no_answer(name: str, answer: str) -> None:
     """It was reported when it came; the query is answered, with the reason that there is none."""
     script = Script()
     script.up(1)
@@ -242,4 +244,5 @@ def test_a_message_that_cannot_be_converted_is_no_answer(name: str) -> None:
     assert "note query_unanswered" in lines and "note internal_error" not in lines
     whole = rosmsg.TransformStamped(Header(1, "base"), "tool", (0.1, 0.2, 0.3), (0.0, 0.0, 0.0, 1.0))
     script.ros("/igtl/out/Tool", whole)
-    assert "note query_unanswered" not in script.igtl(Message(name, "Tool", EmptyQuery()))
+    lines = script.igtl(Message(name, "Tool", EmptyQuery()))
+    assert "note query_unanswered" not in lines and f"igtl {answer}/Tool v1 to 1" in lines

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import struct
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,33 +29,42 @@ def schemas(folder: str) -> dict[str, Any]:
 
 def decoded(data: bytes, fields: dict[str, Any]) -> tuple[list[str], bytes]:
     envelope = unpack_envelope(data)
-    header, body = envelope.header, envelope.body
+    if envelope.header.version == 1:
+        return shown(envelope, fields), bytes(pack_envelope(envelope))
+    found = oracle.verify_wire_bytes(data, check_round_trip=False)
+    if not found.ok:
+        raise ValueError(found.error)
+    extended = found.extended_header
+    around = [ng_words.integer(extended["message_id"]), f"n{len(found.metadata)}"]
+    for key, encoding, value in found.metadata:
+        around += [ng_words.text(key), ng_words.integer(encoding), ng_words.octets(value)]
+    # pack_envelope has neither: what stands around the content is kept, as its own oracle does
+    end = len(data) - extended["metadata_header_size"] - extended["metadata_size"]
+    again = data[: HEAD + extended["ext_header_size"]] + envelope.body.pack() + data[end:]
+    return shown(envelope, fields, around), again
+
+
+def shown(envelope: Any, fields: dict[str, Any], around: Sequence[str] = ("i0", "n0")) -> list[str]:
+    """The words of a message; ``around`` are those of its message id and its metadata."""
+    header = envelope.header
     words = [ng_words.integer(header.version), ng_words.text(header.type_id), ng_words.text(header.device_name)]
-    words.append(ng_words.integer(header.timestamp))
-    if header.version == 1:
-        words += ["i0", "n0"]
-        again = pack_envelope(envelope)
-    else:
-        found = oracle.verify_wire_bytes(data, check_round_trip=False)
-        if not found.ok:
-            raise ValueError(found.error)
-        extended = found.extended_header
-        words += [ng_words.integer(extended["message_id"]), f"n{len(found.metadata)}"]
-        for key, encoding, value in found.metadata:
-            words += [ng_words.text(key), ng_words.integer(encoding), ng_words.octets(value)]
-        # pack_envelope has neither: what stands around the content is kept, as its own oracle does
-        end = len(data) - extended["metadata_header_size"] - extended["metadata_size"]
-        again = data[: HEAD + extended["ext_header_size"]] + body.pack() + data[end:]
-    return [*words, *ng_words.written(fields[header.type_id], body)], again
+    words += [ng_words.integer(header.timestamp), *around]
+    return [*words, *ng_words.written(fields[header.type_id], envelope.body)]
 
 
-def encoded(words: list[str], fields: dict[str, Any]) -> bytes:
-    version, kind, device, ticks, _, count, *rest = words
-    assert (version, count) == ("i1", "n0")
+def made(words: Sequence[str], fields: dict[str, Any]) -> tuple[Any, str, int]:
+    """The body, the device name and the stamp of a message without metadata."""
+    _, kind, device, ticks, _, count, *rest = words
+    assert count == "n0"
     name = bytes.fromhex(kind[1:]).decode()
     body = lookup_message_class(name)(**ng_words.read(fields[name], iter(rest)))
-    device_name = bytes.fromhex(device[1:]).decode()
-    header = Header(version=1, type_id=name, device_name=device_name, timestamp=int(ticks[1:]), body_size=0, crc=0)
+    return body, bytes.fromhex(device[1:]).decode(), int(ticks[1:])
+
+
+def encoded(words: Sequence[str], fields: dict[str, Any]) -> bytes:
+    body, device, ticks = made(words, fields)
+    version = int(words[0][1:])
+    header = Header(version=version, type_id=body.TYPE_ID, device_name=device, timestamp=ticks, body_size=0, crc=0)
     return bytes(pack_envelope(Envelope(header=header, body=body)))
 
 
@@ -79,4 +89,5 @@ def main() -> None:
     out.flush()
 
 
-main()
+if __name__ == "__main__":
+    main()

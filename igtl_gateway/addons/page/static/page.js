@@ -325,7 +325,7 @@ function drawNow() {
     playing ? h("p", null, playing) : null)));
   if (!links) {
     links = new Rows([["State"], ["Peer"], ["Since", "n wide"], ["Rate", "n"], ["Last minute", "wide"], ["Latency", "n"], ["Jitter", "n wide"], ["Queue", "n"], ["Dropped", "n"]], () => [
-      stateColumn(), twoLines((row) => row.name || row.peer, (row) => [`${row.role}${row.name ? ` ${row.peer}` : ""}`, row.profile !== "unrecognised" && row.profile].filter(Boolean).join(" · ")),
+      stateColumn(), twoLines((row) => row.name || row.peer, (row) => [`${row.role}${row.name ? ` ${row.peer}` : ""}`, row.profile !== "unrecognised" && row.profile, row.clock && `clock ${row.clock}`].filter(Boolean).join(" · ")),
       textCell("n wide", (row) => (row.left_ns ? `left ${time(row.left_ns)}` : row.since_ns ? time(row.since_ns) : [NONE, true])), ratesCell(), sparkColumn(),
       latencyCell(), textCell("n wide", (row) => (row.jitter_ms == null ? [NONE, true] : `${number(row.jitter_ms, 2)} ms`)),
       textCell("n", (row) => (row.queue || !row.stuck_bytes ? [number(row.queue), !row.queue] : bytes(row.stuck_bytes))), textCell("n", (row) => [number(row.dropped), !row.dropped])], "Links");

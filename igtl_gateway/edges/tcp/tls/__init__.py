@@ -1,4 +1,4 @@
-"""TLS for both roles: certificates (``files``), handshakes (``handshake``), and a socket that encrypts.
+"""TLS for both roles: certificates (``files``), and a socket that encrypts.
 
 Strategy: OpenSSL never has the socket.  It works on two buffers in memory, and plain non-blocking system calls move
 the bytes between these and the socket.  So no call of OpenSSL waits; a sender in any thread and the I/O thread as
@@ -11,7 +11,6 @@ Versions below TLS 1.2 are not accepted.
 """
 
 from igtl_gateway.edges.tcp.tls.files import Context, TlsFiles
-from igtl_gateway.edges.tcp.tls.handshake import Handshake
 from igtl_gateway.edges.tcp.tls.secure_socket import PLAIN_TO_TLS, TLS_TO_PLAIN, TlsError, TlsSocket
 
-__all__ = ["PLAIN_TO_TLS", "TLS_TO_PLAIN", "Context", "Handshake", "TlsError", "TlsFiles", "TlsSocket"]
+__all__ = ["PLAIN_TO_TLS", "TLS_TO_PLAIN", "Context", "TlsError", "TlsFiles", "TlsSocket"]

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
+from igtl_gateway.edges.tcp.layer import Layer, LayerError
 from igtl_gateway.edges.tcp.outbox import Part
 
 _BATCH = 64 * 2**10  # encrypted at once; what the kernel does not take of it waits here
@@ -37,13 +38,11 @@ _REASONS = {
 _ALERTS = ("CERTIFICATE", "UNKNOWN_CA", "ACCESS_DENIED")
 
 
-class TlsError(OSError):
-    """TLS has failed: ``reason`` comes from a small fixed set, ``detail`` is the text of OpenSSL."""
+class TlsError(LayerError):
+    """TLS has failed; ``detail`` is the text of OpenSSL."""
 
-    def __init__(self, reason: str, detail: str = "") -> None:
-        super().__init__(f"{reason} ({detail})" if detail else reason)
-        self.reason = reason
-        self.detail = detail
+    code = "tls_failed"
+    what = "invalid TLS records"
 
     @classmethod
     def of(cls, error: ssl.SSLError) -> TlsError:
@@ -57,34 +56,26 @@ class TlsError(OSError):
         return cls(_REASONS.get(name, "TLS failed"), detail)
 
 
-class TlsSocket:
-    """A connected non-blocking socket with TLS on it; the methods that a link uses have the names of a socket's.
+class TlsSocket(Layer):
+    """A connected non-blocking socket with TLS on it."""
 
-    Attributes:
-        more: there might be received bytes that no system call reports; only ``recv_into`` returns them.
-        begun: anything was received.
-        shaken: our part of the handshake is complete.
-    """
+    NAME = "TLS"
 
     def __init__(self, sock: socket.socket, context: ssl.SSLContext, *, server_side: bool, host: str = "") -> None:
-        self.more = False
-        self.begun = False
-        self._sock = sock
+        super().__init__(sock)
+        self._tcp = sock
         self._server_side = server_side
         self._lock = threading.Lock()  # guards all below; nothing else is taken under it
         self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
         self._tls = context.wrap_bio(self._incoming, self._outgoing, server_side, host or None)
         self._unsent = memoryview(b"")  # encrypted
         self._early = b""  # received with the end of the handshake
-        self.shaken = False
 
     @property
     def pending(self) -> int:
-        """Encrypted bytes that the kernel has not taken yet."""
         return len(self._unsent) + self._outgoing.pending
 
     def facts(self) -> dict[str, str]:
-        """What is known of the peer."""
         subject: Any = (self._tls.getpeercert() or {}).get("subject", ())
         name = ", ".join(f"{key}={value}" for part in subject for key, value in part)
         return {"tls": str(self._tls.version()), "certificate": name}
@@ -129,7 +120,7 @@ class TlsSocket:
     def _receive(self) -> bool:
         """Give OpenSSL the received bytes; False if there are none."""
         try:
-            data = self._sock.recv(_BATCH)
+            data = self._tcp.recv(_BATCH)
         except (BlockingIOError, InterruptedError):
             return False
         if not self.begun and data:
@@ -142,12 +133,7 @@ class TlsSocket:
             self._incoming.write_eof()
         return True
 
-    def send(self, part: Part) -> int:
-        """Like a socket's ``send``."""
-        return self.sendmsg((part,))
-
     def sendmsg(self, parts: Sequence[Part]) -> int:
-        """Like a socket's ``sendmsg``; bytes that count as sent might wait here, see ``pending`` and ``flush``."""
         taken = 0
         with self._lock:
             if not self._flush():
@@ -167,7 +153,6 @@ class TlsSocket:
         return taken
 
     def flush(self) -> bool:
-        """Send what is pending; whether nothing is left.  Raises OSError."""
         with self._lock:
             return self._flush()
 
@@ -184,7 +169,6 @@ class TlsSocket:
             self._unsent = self._unsent[count:]
 
     def recv_into(self, room: memoryview) -> int:
-        """Like a socket's ``recv_into``: at most one system call, and none while there is ``more``."""
         with self._lock:
             if self._early:
                 count = min(len(room), len(self._early))
@@ -213,6 +197,12 @@ class TlsSocket:
             self._send_alert()  # a change of keys needs an answer
             return count
 
+    def ping(self) -> None:
+        """TLS has no such question."""
+
+    def farewell(self, reason: str) -> None:
+        """TLS has no words for it."""
+
     def shutdown(self, how: int) -> None:
         """Like a socket's ``shutdown``; a close_notify shows the peer that the end is deliberate."""
         if how == socket.SHUT_WR:
@@ -229,15 +219,6 @@ class TlsSocket:
         """Send the last records of OpenSSL, as far as the kernel takes them."""
         with suppress(OSError):
             self._flush()
-
-    def getsockname(self) -> Any:
-        return self._sock.getsockname()
-
-    def getsockopt(self, level: int, option: int, size: int) -> bytes:
-        return self._sock.getsockopt(level, option, size)
-
-    def fileno(self) -> int:
-        return self._sock.fileno()
 
     def close(self) -> None:
         """Like a socket's ``close``, behind a close_notify if there was none."""

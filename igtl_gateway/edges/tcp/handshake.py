@@ -1,13 +1,15 @@
-"""The handshake of one connection, within a time."""
+"""The handshake of one layer of a connection (TLS, WebSocket), within a time."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+from igtl_gateway.edges.tcp.layer import Layer, LayerError
 from igtl_gateway.edges.tcp.loop import READ, WRITE, Loop
-from igtl_gateway.edges.tcp.tls.secure_socket import TlsError, TlsSocket
 
-_VERDICT_S = 0.25  # the longest time for a server without tickets to refuse us: several round trips across a continent
+_VERDICT_S = (
+    0.25  # the longest time for a TLS server without tickets to refuse us: several round trips across a continent
+)
 
 
 class Handshake:
@@ -18,7 +20,7 @@ class Handshake:
 
     def __init__(
         self,
-        sock: TlsSocket,
+        sock: Layer,
         loop: Loop,
         done: Callable[[], None],
         refused: Callable[[str, str], None],
@@ -39,7 +41,7 @@ class Handshake:
     def yield_to_newer(self) -> None:
         """End in favour of a handshake that began later."""
         self._finish()
-        self._refused("no TLS handshake before others came", "")
+        self._refused(f"no {self.sock.NAME} handshake before others came", "")
 
     def cancel(self) -> None:
         """End without a call, and close."""
@@ -55,12 +57,12 @@ class Handshake:
             return
         try:
             done = self.sock.do_handshake()
-        except TlsError as error:
+        except LayerError as error:
             self._finish()
             self._refused(error.reason, error.detail)
         except OSError as error:
             self._finish()
-            self._refused("connection lost in the TLS handshake", f"{error.strerror or error}")
+            self._refused(f"connection lost in the {self.sock.NAME} handshake", f"{error.strerror or error}")
         else:
             if done:
                 self._finish()
@@ -81,4 +83,4 @@ class Handshake:
     def _timed_out(self) -> None:
         if not self._over:
             self._finish()
-            self._refused("no TLS handshake in time", "")
+            self._refused(f"no {self.sock.NAME} handshake in time", "")

@@ -1,19 +1,22 @@
-"""Services whose server is only in the recording: answered with what the events of service introspection have."""
+"""Services and actions whose server is only in the recording: answered with what the events of introspection have."""
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from igtl_gateway.addon.reading import Entry, Kind, SessionFile
+from igtl_gateway.addon.reading import Entry, Kind
 from igtl_gateway.addon.writing import SessionWriter
-from igtl_gateway.addons.resim.services import RecordedAnswer, RecordedService, recorded_services
 from igtl_gateway.record.sessionfile.definition import Definition
 from tests.addons.resim import sessions
 from tests.addons.resim.runs import RUNS, judged, published, strings
+from tests.calls import Goal, entries_of, rows_of
+from tests.exchanges import ABORTED, CANCELED
 
 MS = sessions.MS
 SWITCH = "std_srvs/srv/SetBool"
@@ -50,26 +53,6 @@ def record(path: Path, *events: bytes) -> Path:
     return path
 
 
-def test_answers_are_found_by_what_is_asked() -> None:
-    definition = Definition(b"int32 a\nfloat64 b\nstring c\n---\nbool done\n").text("robot/srv/Plan_Event")
-    service = RecordedService("/plan", "robot/srv/Plan", definition)
-    alone = b"\0\1\0\0" + struct.pack("<i4xdI3s", 5, 0.5, 3, b"ab\0")
-    answers = [RecordedAnswer(b"one", 1), RecordedAnswer(b"two", 2)]
-    for answer in answers:  # in an event there are other bytes between the values, and after them
-        service.add(event(0, 0, 1, request=struct.pack("<idI3sx", 5, 0.5, 3, b"ab\0")), answer)
-    assert service.take(b"\0\1\0\0" + struct.pack("<i4xdI3s", 0, 0.5, 3, b"ab\0")) is None
-    assert [service.take(alone), service.take(alone), service.take(alone)] == [*answers, None]
-
-
-def test_events_without_contents_are_no_answers(tmp_path: Path) -> None:
-    path = record(tmp_path / "in.mcap", event(0, 0, 1), event(3, MS, 1))
-    with SessionFile.open(path) as file:
-        assert recorded_services(file) == {}
-    path = record(tmp_path / "in.mcap", *exchange(1, 0, True, b"on"), event(0, 0, 2, b"\1"))
-    with SessionFile.open(path) as file:
-        assert [each.count for each in recorded_services(file).values()] == [1]
-
-
 @pytest.mark.ros
 @pytest.mark.skipif(not find_spec("rclpy"), reason="needs ROS 2")
 def test_a_service_is_answered_from_the_recording(tmp_path: Path) -> None:
@@ -86,3 +69,46 @@ def test_a_service_is_answered_from_the_recording(tmp_path: Path) -> None:
     asked = [time_ns for time_ns, _ in published(recording, "/in")][:18]
     came = [time_ns for time_ns, _ in published(result.runs[0].outputs, "/answers")]
     assert [after - before for before, after in zip(asked, came, strict=True)] == [3 * MS] * 18
+
+
+def recorded_goals() -> list[Goal]:
+    """By order: succeeds, aborts, rejected, never ends, canceled, its result was not asked for."""
+    at = [10 * number * MS for number in range(7)]
+    ends: list[dict[str, Any]] = [
+        {"ends_ns": 35 * MS, "feedback_ns": (15 * MS, 25 * MS)},
+        {"ends_ns": 40 * MS, "status": ABORTED},
+        {"accepted": False},
+        {},
+        {"ends_ns": 63 * MS, "status": CANCELED, "cancel_ns": 55 * MS},
+        {"ends_ns": 70 * MS, "asked": False},
+    ]
+    return [Goal(bytes([order] * 16), order, at[order], **end) for order, end in enumerate(ends, 1)]
+
+
+def record_action(path: Path, goals: Sequence[Goal], count: int) -> Path:
+    """Strings in /in every 10 ms, and these goals of /drive."""
+    rows = [(ns, topic, type_, sessions.cdr(type_, content)) for ns, topic, type_, content in sessions.texts(count)]
+    writer = SessionWriter(path, {"config": "{}"}, qos_of=lambda _topic, _type: None, overwrite=True)
+    for entry in entries_of([*rows, *rows_of("/drive", goals)]):
+        writer.write(entry)
+    writer.close({})
+    return path
+
+
+@pytest.mark.ros
+@pytest.mark.skipif(not find_spec("test_msgs"), reason="needs test_msgs")
+def test_an_action_is_answered_from_the_recording(tmp_path: Path) -> None:
+    """Acceptance, feedback and results at their recorded times; what is not recorded is rejected and counted."""
+    recording = record_action(tmp_path / "in.mcap", recorded_goals(), 20)
+    result, verdict = judged(recording, tmp_path, "fibonacci client", lead_ns=1000 * MS)
+    assert verdict.line() == f"deterministic: {RUNS} of {RUNS} runs equal"
+    assert result.roles
+    assert (result.roles.played, result.roles.missing, result.roles.unserved) == ({"/drive": 6}, [], [])
+    said = strings(result.runs[0].outputs, "/out")
+    ends = [text.split(" at ")[0] for text in said if "[" in text]
+    assert ends == ["m0 4 [1, 8]", "m1 6 [2, 8]", "m4 5 [5, 8]"]
+    assert [text.split(" at ")[0] for text in said if "goes on" in text] == ["m0 goes on 1", "m0 goes on 2"]
+    assert [text.split()[0] for text in said if "accepted=True" in text] == ["m0", "m1", "m3", "m4", "m5"]
+    assert sum("accepted=False" in text for text in said) == 15
+    # goals 7 to 20 are not recorded, and the result of the sixth neither
+    assert result.runs[0].unserved == {"/drive": 15}
