@@ -1,10 +1,11 @@
 """A server of a service and of an action, or their client: rclpy in a process of its own.
 
-usage: calls_node.py server|client|resimulated
+usage: calls_node.py server|client|echo|resimulated|aborts|orders
 
 The server is of rclpy's services alone, so that introspection shows the action's, too: Jazzy's ActionServer has none.
 A goal of order 1 succeeds, 2 is aborted, 3 is canceled by the client, 4 is rejected.  The client publishes what it gets
-on /out, then "end"; without ROS's discovery ("resimulated") it begins at once.
+on /out, which a recorder has to receive ("client"), then "end".  "aborts" is rclpy's own server, which aborts goals of
+an odd order; "orders" asks it for 20.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Any
 import rclpy
 from action_msgs.msg import GoalStatus, GoalStatusArray
 from action_msgs.srv import CancelGoal
-from rclpy.action import ActionClient
+from rclpy.action import ActionClient, ActionServer
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
@@ -109,14 +110,26 @@ class Client(Node):  # type: ignore[misc]
 
     def run(self, recorders: int) -> None:
         assert self.service.wait_for_service(30) and self.action.wait_for_server(30)
-        while self.out.get_subscription_count() < recorders:
+        recorded = ("/out", "/enable/_service_event", "/fib/_action/send_goal/_service_event")
+        while recorders and not all(map(self.count_subscribers, recorded)):
             time.sleep(0.05)
+        time.sleep(recorders)  # the server may have to discover them, too
         for value in (True, False):
             answer = self.wait(self.service.call_async(SetBool.Request(data=value)))
             self.say(f"{value}: {answer.success} {answer.message}")
         for order in (1, 2, 3, 4):
             self.goal(order)
         self.say("end")
+
+    def order(self) -> None:
+        assert self.action.wait_for_server(30)
+        time.sleep(2)  # a recorder may still discover the server
+        for number in range(20):
+            goal = self.wait(self.action.send_goal_async(Fibonacci.Goal(order=number)))
+            self.wait(goal.get_result_async())
+            time.sleep(0.5)
+        time.sleep(2)  # its window ends, though nothing else comes
+        print("end", flush=True)  # noqa: T201 (the protocol)
 
     def goal(self, order: int) -> None:
         seen: list[int] = []
@@ -136,12 +149,24 @@ class Client(Node):  # type: ignore[misc]
         self.say(f"{order}: {found.status} {list(found.result.sequence)} feedback {seen} cancel {code}")
 
 
+def end(goal: Any) -> Any:
+    """Abort goals of an odd order."""
+    (goal.abort if goal.request.order % 2 else goal.succeed)()
+    return Fibonacci.Result()
+
+
 sys.excepthook = lambda kind, *rest: None if kind is KeyboardInterrupt else sys.__excepthook__(kind, *rest)
 rclpy.init()
 if sys.argv[1] == "server":
     executor = MultiThreadedExecutor(8)
     executor.add_node(Server())
     executor.spin()
+elif sys.argv[1] == "aborts":
+    own = Node("aborting")
+    server = ActionServer(own, Fibonacci, "/fib", end)
+    rclpy.spin(own)
+elif sys.argv[1] == "orders":
+    Client().order()
 else:
     Client().run(recorders=int(sys.argv[1] == "client"))
     if sys.argv[1] == "resimulated":

@@ -14,6 +14,7 @@ from igtl_gateway.addons.resim.engine import Program as Resimulated
 from igtl_gateway.addons.resim.engine import ResimOptions, run
 from igtl_gateway.addons.resim.verdict import compare
 from igtl_gateway.cli import main
+from igtl_gateway.convert.exchanges import action_of
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from tests.addons.resim.runs import strings
 from tests.integration.bridge import Bridge, Program, environment, gateway
@@ -32,6 +33,8 @@ SAID = [
     "4: rejected",
     "end",
 ]
+#: Responses that a replay gets as a client.
+CALLED = {"send_goal": "4 responses", "get_result": "3 responses", "cancel_goal": "1 response"}
 
 
 @contextmanager
@@ -50,33 +53,22 @@ def said_by_a_client() -> list[str]:
         return client.lines
 
 
-def test_from_the_record_to_the_re_simulation(tmp_path: Path) -> None:
-    box = ("--snapshot", "60", "--trigger", "action_aborted=/fib,after=0.3")
-    recording, aborted = tmp_path / "calls.mcap", tmp_path / "aborted.mcap"
+def record(path: Path) -> Path:
+    """What a client asks of a server, recorded."""
     topics = ("/enable/_service_event", "/fib/_action/**", "/out")
-    options = [word for topic in topics for word in ("--record-topics", topic)]
     with node("server"):
-        watching = Bridge("--record", str(aborted), *box)
-        writing = Bridge("--record", str(recording), *options)
+        bridge = Bridge("--record", str(path), *(word for topic in topics for word in ("--record-topics", topic)))
         try:
             assert said_by_a_client() == SAID
-            for bridge in (watching, writing):
-                assert bridge.end().code == 0
+            assert bridge.end().code == 0
         finally:
-            watching.close()
-            writing.close()
+            bridge.close()
+    return path
 
-    # the black box has one file, with what led to the abort
-    (found,) = tmp_path.glob("aborted_*.mcap")
-    with SessionFile.open(found) as file:
-        assert [row["count"] for row in (file.ledger or {})["triggers"]] == [1]
-        assert {"send_goal", "status", "feedback"} <= {
-            entry.channel.split("/_action/")[1].split("/")[0]
-            for entry in file.entries()
-            if "/_action/" in entry.channel
-        }
-    for path in (found, recording):
-        assert main(["verify", str(path)]) == 0
+
+def test_from_the_record_to_the_re_simulation(tmp_path: Path) -> None:
+    recording = record(tmp_path / "calls.mcap")
+    assert main(["verify", str(recording)]) == 0
 
     only = ("--streams", "/enable/**", "--streams", "/fib/**")
     replay = gateway("replay", str(recording), "--to", "ros", "--loop", *only)
@@ -96,3 +88,54 @@ def test_from_the_record_to_the_re_simulation(tmp_path: Path) -> None:
     assert verdict.is_deterministic, verdict.line()
     assert strings(result.runs[0].outputs, "/out") == SAID
     assert result.roles and (result.roles.played, result.roles.answered) == ({"/fib": 4}, {"/enable": 2})
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_what_a_replay_asks_is_what_was_asked(tmp_path: Path) -> None:
+    """The requests of a replay reach a server, and with a black box the goal that it aborts has a file."""
+    recording = record(tmp_path / "calls.mcap")
+    with node("server"):
+        bridge = Bridge("--record", str(tmp_path / "box.mcap"), "--snapshot", "60", "--trigger", "action_aborted=/fib")
+        replay = gateway("replay", str(recording), "--to", "ros", "--services", "call")
+        try:
+            replay.wait_until(lambda: any(line.startswith("sha256") for line in replay.lines), "end of the replay")
+            assert replay.end(None).code == 0
+            assert {f"/fib/_action/{part}: {count}" for part, count in CALLED.items()} <= set(replay.lines), (
+                replay.said()
+            )
+            assert bridge.end().code == 0
+        finally:
+            replay.close()
+            bridge.close()
+    (found,) = tmp_path.glob("box_*.mcap")
+    assert parts_of(found) >= {"send_goal", "get_result", "feedback", "status"}
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_each_goal_that_a_server_aborts_has_a_file(tmp_path: Path) -> None:
+    """Of rclpy's own server: 20 goals, of which the odd ones are aborted, 0.5 s after each other."""
+    with node("aborts"):
+        rule = "action_aborted,before=0.2,after=0.1"
+        bridge = Bridge("--record", str(tmp_path / "box.mcap"), "--snapshot", "60", "--trigger", rule)
+        try:
+            with node("orders") as client:
+                client.wait_until(lambda: "end" in client.lines, "end of the client")
+            assert bridge.end().code == 0
+        finally:
+            bridge.close()
+    files = sorted(tmp_path.glob("box_*.mcap"))
+    assert len(files) == 10
+    for path in files:
+        assert main(["verify", str(path)]) == 0
+        with SessionFile.open(path) as file:
+            (row,) = (file.ledger or {})["triggers"]
+        assert (row["count"], row["missing"]) == (1, "")
+        assert "status" in parts_of(path)
+
+
+def parts_of(path: Path) -> set[str]:
+    """The parts of actions that a recording has."""
+    with SessionFile.open(path) as file:
+        return {part for entry in file.entries() if (part := (action_of(entry.channel) or ("", ""))[1])}
