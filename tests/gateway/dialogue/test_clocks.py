@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from examples.peers.clock import BODY, CRC, HEADER
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.dialogue.clocks import ClockQuestions, ask_note
@@ -16,7 +17,7 @@ from igtl_gateway.gateway.log.fates import ASKED
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.verify import DeclaredLosses, verify
 from igtl_gateway.testing.gateway import ManualGateway, Outputs
-from igtl_gateway.wire import Message
+from igtl_gateway.wire import Message, decode
 from igtl_gateway.wire.query import EmptyQuery
 from igtl_gateway.wire.text import Status
 from igtl_gateway.wire.transform import Transform
@@ -73,6 +74,11 @@ def test_a_question_for_our_clock_is_answered_with_it_and_reaches_no_one() -> No
     assert answer.stream == ANSWERS and answer.message.content == Status(1)
     assert 0 <= answer.message.ticks - ns_to_ticks(asked.gateway.now_ns) < ns_to_ticks(1_000)
     assert not outputs.ros("/igtl/in/**")
+
+
+def test_the_answer_of_the_example_is_one() -> None:
+    answer = decode(HEADER.pack(1, b"STATUS", DEVICE.encode(), 7, len(BODY), CRC) + BODY)
+    assert (answer.type, answer.device_name, answer.content, answer.ticks) == ("STATUS", DEVICE, Status(1), 7)
 
 
 def test_who_is_asked() -> None:

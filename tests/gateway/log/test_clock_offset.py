@@ -38,7 +38,12 @@ def test_one_answer_bounds_the_offset_by_its_delays() -> None:
     assert (found.answers, found.age_ns, found.drift_ppm) == (1, 0, None)
     assert str(found) == "+5,001.002 ms ± 2 ms"
     later = estimate.offset(T0 + 4 * NS_PER_MS + NS_PER_S)
-    assert later and later.low_ns == found.low_ns - NS_PER_MS and later.high_ns == found.high_ns + NS_PER_MS
+    assert (
+        later
+        and later.age_ns == NS_PER_S
+        and later.low_ns == found.low_ns - NS_PER_MS
+        and later.high_ns == found.high_ns + NS_PER_MS
+    )
 
 
 def test_further_answers_make_it_narrower_and_slow_ones_do_not_make_it_wider() -> None:
@@ -58,6 +63,9 @@ def test_a_drift_is_known_after_a_minute_and_follows_the_last_ten() -> None:
         ask(estimate, second, 40_000 * second, 100_000, 100_000)
     found = estimate.offset(T0 + 59 * NS_PER_S)
     assert found and found.drift_ppm is None and not found.drift_text
+    ask(estimate, 60, 40_000 * 60, 100_000, 100_000)
+    found = estimate.offset(T0 + 60 * NS_PER_S)
+    assert found and found.drift_ppm and found.drift_ppm[0] < 40 < found.drift_ppm[1]
     for second in range(60, 2_000):
         ask(estimate, second, 40_000 * 60 - 20_000 * (second - 60), 100_000, 100_000)
     found = estimate.offset(T0 + 1_999 * NS_PER_S)
@@ -93,6 +101,12 @@ def test_stamps_that_contradict_each_other_are_no_clock_until_they_have_not_for_
     estimate, chance = OffsetEstimate(), random.Random(7)
     said = [ask(estimate, second, chance.randrange(60) * NS_PER_S) for second in range(300)]
     assert said.count(NoClock(stands=False)) == 1
+    again = OffsetEstimate()
+    jumps = [ask(again, second, (1, 5)[second % 2] * second * NS_PER_S) for second in range(9)]
+    assert jumps == 7 * [None] + [
+        NoClock(stands=False),
+        None,
+    ]  # the seventh contradiction counts
     assert estimate.offset(T0 + 300 * NS_PER_S) is None
     assert [ask(estimate, second, 0) for second in range(300, 361)] == 61 * [None]
     assert estimate.offset(T0 + 361 * NS_PER_S) is None
@@ -104,7 +118,7 @@ def test_stamps_that_contradict_each_other_are_no_clock_until_they_have_not_for_
 def test_stamps_that_stand_still_are_no_clock(stamp_ns: int) -> None:
     estimate = OffsetEstimate()
     said = [estimate.add(T0 + second * NS_PER_S, stamp_ns, T0 + second * NS_PER_S + 1) for second in range(200)]
-    assert [found for found in said if found] == [NoClock(stands=True)]
+    assert said == 5 * [None] + [NoClock(stands=True)] + 194 * [None]  # five in a row as the first
     assert estimate.offset(T0 + 200 * NS_PER_S) is None
 
 
@@ -116,7 +130,7 @@ def test_stamps_of_2106_and_of_1970_are_an_offset_and_unset_ones_are_none() -> N
         found = estimate.offset(T0 + 9 * NS_PER_S + 2 * NS_PER_MS)
         assert found and found.low_ns <= offset_ns <= found.high_ns
     estimate = OffsetEstimate()
-    for stamp_ns in (0, -1):
+    for stamp_ns in (*10 * (0,), -1):
         assert estimate.add(T0, stamp_ns, T0 + 1) is None
     assert estimate.add(T0 + 1, T0, T0) is None  # gateway time never decreases
     assert estimate.offset(T0 + 1) is None
@@ -159,6 +173,10 @@ def test_while_gateway_time_stands_no_answer_counts() -> None:
         clocks.asked(1, T0 + 10 * number)
         clocks.answered(1, T0 + number * NS_PER_S, T0 + 10 * number + 5)
     assert clocks.offset(1, T0 + 1_000) is None
+    for at_ns, is_known in ((T0 + 99 * NS_PER_MS, False), (T0 + 100 * NS_PER_MS, True)):
+        clocks.asked(1, at_ns)
+        clocks.answered(1, at_ns + 1, at_ns + 2)
+        assert (clocks.offset(1, at_ns + 2) is not None) is is_known
 
 
 def test_answers_are_of_the_oldest_question_and_none_waits_for_ever() -> None:
