@@ -129,6 +129,7 @@ LONG_FILES = {
     "integration/test_black_box_live.py": "record/test_black_box.py",
     "integration/test_clock_live.py": "gateway/dialogue/test_clocks.py",
     "integration/test_hostile_crowds.py": "integration/test_hostile.py",
+    "integration/test_browser_peer.py": "edges/tcp/websocket/test_framed_socket.py",
     "integration/test_hostile_websocket.py": "edges/tcp/websocket/test_framed_socket.py",
     "integration/test_near_names.py": "base/test_near.py",
     "integration/test_page_person.py": "addons/page/test_server.py",

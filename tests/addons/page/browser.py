@@ -8,8 +8,11 @@ import os
 import shutil
 import subprocess
 import tempfile
+import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -181,3 +184,36 @@ class Browser:
     def picture(self, path: Path) -> None:
         """Write what the page shows as PNG."""
         path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
+
+
+@contextmanager
+def site(files: Mapping[str, Path]) -> Iterator[int]:
+    """Serve these files by their names, and the first one also without one, so that a page has fine clocks.
+
+    Yields the port of 127.0.0.1.
+    """
+    first = next(iter(files.values()))
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            path = files.get(self.path.partition("?")[0].strip("/"), first)
+            data = path.read_bytes()
+            self.send_response(200)
+            self.send_header("Content-Type", "text/javascript" if path.suffix == ".mjs" else "text/html")
+            self.send_header("Content-Length", str(len(data)))
+            self.send_header("Cross-Origin-Opener-Policy", "same-origin")
+            self.send_header("Cross-Origin-Embedder-Policy", "require-corp")
+            self.end_headers()
+            self.wfile.write(data)
+
+        def log_message(self, *_: Any) -> None:
+            """Requests are not of interest."""
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            yield server.server_port
+        finally:
+            server.shutdown()
+            thread.join()
