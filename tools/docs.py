@@ -1386,7 +1386,9 @@ PARTS: dict[str, dict[str, Callable[[], str]]] = {
     "how-to/metrics.md": {"metrics": _metrics},
     "how-to/scenarios.md": {"live": partial(_options, "simulate", "--record --view --duration --timeout --json")},
     "how-to/security.md": {
-        "access": partial(_options, "bridge", "--listen --allow --tls --tls-cert --tls-key --tls-ca --max-clients")
+        "access": partial(
+            _options, "bridge", "--listen --allow --allow-origin --tls --tls-cert --tls-key --tls-ca --max-clients"
+        )
     },
     "how-to/sync.md": {"verdicts": _verdicts},
     "how-to/write-an-addon.md": {"modules": _addon_modules},
