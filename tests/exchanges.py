@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.untrusted.dialects import RULE
 from igtl_gateway.convert.exchanges import REQUEST_RECEIVED, REQUEST_SENT, RESPONSE_RECEIVED, RESPONSE_SENT
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.definition import Definition
@@ -21,6 +22,11 @@ HEAD = b"\0\1\0\0"
 SERVICE, SERVICE_TYPE = "/arm/enable", "std_srvs/srv/SetBool"
 ACTION, ACTION_TYPE = "/fib", "test_msgs/action/Fibonacci"
 SRV = "bool data\n---\nbool success\nstring message\n"
+CANCEL_TYPE = "action_msgs/srv/CancelGoal"
+CANCEL = (
+    f"GoalInfo goal_info\n---\nint8 return_code\nGoalInfo[] goals_canceling\n{RULE}\nMSG: action_msgs/GoalInfo\n"
+    "unique_identifier_msgs/UUID goal_id\nbuiltin_interfaces/Time stamp\n"
+)
 ACTION_TEXT = "int32 order\n---\nint32[] sequence\n---\nint32[] sequence\n"
 SUCCEEDED, CANCELED, ABORTED, EXECUTING = 4, 5, 6, 2
 #: Order → how the goal ends; EXECUTING: the recording ends before.
@@ -93,16 +99,14 @@ def goals() -> Iterator[Row]:
         if end is CANCELED:
             request = ask + struct.pack("<iI", 0, 0)
             response = struct.pack("<b3xI", 0, 1) + ask + struct.pack("<iI", 7, 8)
-            yield from both(
-                f"{ACTION}/_action/cancel_goal", "action_msgs/srv/CancelGoal", at + 40 * MS, number, request, response
-            )
+            yield from both(f"{ACTION}/_action/cancel_goal", CANCEL_TYPE, at + 40 * MS, number, request, response)
         if end is not EXECUTING:
             yield at + 70 * MS, topic, array, states(whole)
 
 
 def definition_of(ros_type: str) -> Definition | None:
     """Of the types of the recording whose packages might not be installed."""
-    known = {SERVICE_TYPE: SRV, ACTION_TYPE: ACTION_TEXT}
+    known = {SERVICE_TYPE: SRV, ACTION_TYPE: ACTION_TEXT, CANCEL_TYPE: CANCEL}
     text = known.get(ros_type.partition("_Event")[0]) or known.get(f"{ros_type.partition('Fibonacci_')[0]}Fibonacci")
     return Definition(Definition(text.encode()).text(ros_type).encode()) if text else None
 
