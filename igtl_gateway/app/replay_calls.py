@@ -119,10 +119,15 @@ def open_calls(mode: str, file: SessionFile, topics: Sequence[str], edge: RosEdg
 
     Raises what ``recorded_calls`` raises.
     """
-    own = [topic for topic in topics if service_of(topic) or action_of(topic)]
+    own = [topic for topic in topics if is_of_calls(topic)]
     if mode == "topics" or not own:
         return None
     return AnsweredCalls(recorded_calls(file, own), edge) if mode == "answer" else SentCalls(file, own, edge)
+
+
+def is_of_calls(topic: str) -> bool:
+    """Return whether a topic is one of a service or of an action."""
+    return bool(service_of(topic) or action_of(topic))
 
 
 class AnsweredCalls:

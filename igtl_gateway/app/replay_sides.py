@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from threading import Event
 
 from igtl_gateway.app.faulty import all_with_disconnects, disconnector, with_disconnects
-from igtl_gateway.app.replay_calls import Calls, open_calls
+from igtl_gateway.app.replay_calls import Calls, is_of_calls, open_calls
 from igtl_gateway.app.replay_listeners import Listeners
 from igtl_gateway.app.replay_options import ReplayOptions
 from igtl_gateway.app.replay_plan import (
@@ -250,7 +250,9 @@ def _open_ros(
         edge.advertise(channel.topic, channel.type, channel.qos or PLAYED_QOS)
     if options.clock_hz:
         edge.advertise(CLOCK_TOPIC, CLOCK_TYPE, PLAYED_QOS)
-    for topic in sorted({channel.topic for channel in channels}):
+    # nodes subscribe to the topics of services and actions only if they look into them
+    waited_for = {channel.topic for channel in channels if not is_of_calls(channel.topic)}
+    for topic in sorted(waited_for):
         while options.wait_peers and not edge.wait_for_subscribers(topic, options.wait_peers, _LOOK_S):
             if stop.is_set():
                 return None

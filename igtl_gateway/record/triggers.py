@@ -46,7 +46,7 @@ LOSSES = frozenset(
 _OK = 1  # of a STATUS
 _ERROR = 2  # of a DiagnosticStatus
 _FAULT = "FAULT"
-_ABORTED = 6  # of a GoalStatus
+_ABORTED = 6  # of a GoalStatus, with which the response of get_result begins
 #: Of an event of get_result, behind its encapsulation: the id of the goal in the request.
 _GOAL = slice(48, 64)
 #: Conditions that are followed, and streams whose rules are known.
@@ -231,7 +231,7 @@ def _result_state(entry: Entry, read: _Readers) -> list[tuple[bytes, int]]:
             del read.asked[next(iter(read.asked))]
         read.asked[key] = bytes(entry.data()[_GOAL])
     elif event.response and (goal := read.asked.get(key)):
-        return [(goal, event.response[4])]
+        return [(goal, status) for status in event.response[4:5]]
     return []
 
 

@@ -10,6 +10,7 @@ from collections import Counter, deque
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from operator import itemgetter
 
 from igtl_gateway.base.errors import ConversionError, UnsupportedRecording
 from igtl_gateway.base.untrusted.dialects import RULE
@@ -80,8 +81,9 @@ class Contents:
     """
 
     def __init__(self, event_type: str, definition: str, *, is_goal: bool = False) -> None:
-        package, _, name = event_type.removesuffix("_Event").split("/")
-        request, needed = f"{package}/{name}_Request content", "".join(definition.partition(RULE)[1:])
+        package, _, name = event_type.removesuffix("_Event").partition("/")
+        request = f"{package}/{name.rpartition('/')[2]}_Request content"
+        needed = "".join(definition.partition(RULE)[1:])
         texts = {
             "request/msg/Alone": f"{request}\n{needed}",
             "request/msg/InEvent": f"uint8[{_REQUEST - HEAD}] head_\n{request}\nuint32 tail_\n{needed}",
@@ -250,12 +252,11 @@ def recorded_calls(file: SessionFile, wanted: Sequence[str] = ()) -> RecordedCal
     """
     events: dict[tuple[str, str], list[tuple[int, bytes]]] = {}
     actions: dict[str, _Parts] = {}
-    for entry in _entries(file, wanted):
-        data = entry.data()
-        if service_of(entry.channel):
-            events.setdefault((entry.channel, entry.type), []).append((entry.stamp_ns, data))
-        elif named := action_of(entry.channel):
-            _add_steps(actions.setdefault(named[0], _Parts()), named[1], entry.stamp_ns, data)
+    for topic, type_, at_ns, data in _messages(file, wanted):
+        if service_of(topic):
+            events.setdefault((topic, type_), []).append((at_ns, data))
+        elif named := action_of(topic):
+            _add_steps(actions.setdefault(named[0], _Parts()), named[1], at_ns, data)
     found = RecordedCalls()
     for (topic, type_), rows in events.items():
         exchanges = list(_exchanges(rows))
@@ -288,33 +289,29 @@ def requesting_kinds(file: SessionFile, wanted: Sequence[str] = ()) -> dict[str,
     Raises as `recorded_calls`.
     """
     found: dict[str, Counter[int]] = {}
-    for entry in _entries(file, wanted):
-        if service_of(entry.channel):
+    for topic, _, _, data in _messages(file, wanted):
+        if service_of(topic):
             with suppress(ConversionError):
-                event = ServiceEvent.unpack(entry.data())
+                event = ServiceEvent.unpack(data)
                 if event.has_request and event.kind in (REQUEST_SENT, REQUEST_RECEIVED):
-                    found.setdefault(entry.channel, Counter())[event.kind] += 1
+                    found.setdefault(topic, Counter())[event.kind] += 1
     return {topic: max(kinds.items(), key=lambda row: (row[1], -row[0])) for topic, kinds in found.items()}
 
 
-def _entries(file: SessionFile, wanted: Sequence[str]) -> Iterator[Entry]:
-    topics = {
-        channel.topic
-        for channel in file.channels
-        if channel.count
-        and channel.kind is Kind.ROS_IN
-        and (service_of(channel.topic) or action_of(channel.topic))
-        and (not wanted or channel.topic in wanted)
-    }
+def _messages(file: SessionFile, wanted: Sequence[str]) -> Iterator[tuple[str, str, int, bytes]]:
+    """Topic, type, gateway time and CDR, one topic after the other; of the rest of the file, little is read."""
     left = _MOST_BYTES
-    for entry in file.entries_of_kinds({Kind.ROS_IN}) if topics else ():
-        if entry.channel in topics:
-            left -= entry.size
+    for channel in file.channels:
+        topic = channel.topic
+        is_of_calls = channel.kind is Kind.ROS_IN and (service_of(topic) or action_of(topic))
+        for block in file.blocks(channel) if is_of_calls and (not wanted or topic in wanted) else ():
+            left -= int((block.ends - block.begins).sum())
             if left < 0:
                 raise UnsupportedRecording(
                     f"{file.path}: found more than {_MOST_BYTES >> 20} MiB of services and actions, expected less"
                 )
-            yield entry
+            for index in range(len(block)):
+                yield topic, channel.type, int(block.times[index]), bytes(block.payload(index))
 
 
 def _exchanges(rows: Sequence[tuple[int, bytes]]) -> Iterable[Exchange]:
@@ -361,9 +358,12 @@ def _action_of(name: str, parts: _Parts, definition: str) -> RecordedAction:
     cancels = _canceled(parts.exchanges.get("cancel_goal", ()))
     for each in parts.exchanges["send_goal"]:
         asked_ns, goal = each.asked_ns, each.goal
-        steps = [GoalStep(max(0, at_ns - asked_ns), *said) for at_ns, said in parts.steps.get(goal, ())]
+        steps = [
+            GoalStep(max(0, at_ns - asked_ns), *said)
+            for at_ns, said in sorted(parts.steps.get(goal, ()), key=itemgetter(0))
+        ]
         result = results.get(goal)
-        ended = result.answer.data[HEAD] if result and result.answer else 0
+        ended = next(iter(result.answer.data[HEAD:]), 0) if result and result.answer else 0
         if result and result.answer and ended in OUTCOMES and not any(step.status in OUTCOMES for step in steps):
             # its states were not recorded
             after_ns = max(result.asked_ns - asked_ns + result.answer.latency_ns, steps[-1].after_ns if steps else 0)

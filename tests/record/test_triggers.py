@@ -62,6 +62,11 @@ def _result(kind: int, number: int, content: bytes, client: bytes = b"one") -> E
 
 _ASKED, _GIVEN = _result(REQUEST_RECEIVED, 3, _A), _result(RESPONSE_SENT, 3, b"\6\0\0\0" + fibonacci(1))
 
+
+def _cut(entry: Entry, size: int) -> Entry:
+    return _ros(entry.channel, entry.type, entry.data()[:size])
+
+
 VALUE = "value=/force,field=wrench.force.z,above=5"
 
 
@@ -90,6 +95,7 @@ VALUE = "value=/force,field=wrench.force.z,above=5"
         ("action_aborted=/drive", [_goals((_A, 6)), _ASKED, _GIVEN], []),
         ("action_aborted", [_ASKED, _GIVEN], [1]),
         ("action_aborted", [_ASKED, _result(RESPONSE_SENT, 3, b"")], []),
+        ("action_aborted", [_ASKED, _cut(_GIVEN, 52)], []),  # it has a response of no bytes
         ("action_aborted", [_ASKED, _goals((_A, 6)), _GIVEN, _GIVEN], [1]),
         ("action_aborted", [_GIVEN, _result(RESPONSE_SENT, 4, b"\6\0\0\0" + fibonacci()), _ASKED], []),
         ("action_aborted", [_ASKED, _result(RESPONSE_SENT, 3, b"\6", b"two"), _result(RESPONSE_SENT, 3, b"\4")], []),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
+from random import Random
 
 import pytest
 
@@ -12,6 +13,7 @@ from igtl_gateway.convert.exchanges import REQUEST_RECEIVED, REQUEST_SENT, RESPO
 from igtl_gateway.record.sessionfile.definition import Definition
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay import recorded_calls as module
+from igtl_gateway.replay.played_action import PlayedAction
 from igtl_gateway.replay.recorded_calls import (
     NO_CONTENTS,
     NO_GOALS,
@@ -172,3 +174,37 @@ def test_more_bytes_than_the_bound_are_refused(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(module, "_MOST_BYTES", 1 << 10)
     with pytest.raises(UnsupportedRecording, match="found more than 0 MiB of services and actions"):
         calls_of(tmp_path / "a.mcap")
+
+
+def test_bytes_of_any_kind_are_no_calls_or_are_played(tmp_path: Path) -> None:
+    """Messages that are cut off and overwritten anywhere: what is left is a server that answers without an error."""
+    chosen = Random(7)
+    rows = sorted([*exchanges.calls(), *exchanges.goals()], key=lambda row: row[0])
+    for _ in range(20):
+        changed = []
+        for at_ns, topic, type_, data in rows:
+            new = bytearray(data)
+            for _ in range(chosen.choice((0, 0, 1, 3))):
+                new[chosen.randrange(4, len(new))] = chosen.choice((0, 1, 2, 255, chosen.randrange(256)))
+            size = chosen.randrange(len(new)) if chosen.random() < 0.1 else len(new)
+            changed.append((at_ns, topic, type_, bytes(new[:size])))
+        found = calls_of(tmp_path / "a.mcap", changed)
+        for service in found.services.values():
+            service.take(HEAD + ON, again=True)
+        for action in found.actions.values():
+            server = PlayedAction(action, again=True)
+            for order in exchanges.GOALS:
+                goal = bytes([order] * 16)
+                server.ask("send_goal", asked(order, goal), 0, 1)
+                server.ask("cancel_goal", HEAD + goal + bytes(8), 0, 2)
+                server.ask("get_result", HEAD + goal, 0, 3)
+            server.take(1 << 62)
+
+
+def test_types_of_any_name(tmp_path: Path) -> None:
+    events = [event(REQUEST_SENT, 0, 1, ON), event(RESPONSE_RECEIVED, MS, 1, response=YES)]
+    for type_ in ("std_msgs/msg/String", "std_msgs/String", "a/b/c/D_Event", "Event", "_Event"):
+        contents = Contents(type_, "")
+        assert contents.of_event(events[0]) == contents.of_request(HEAD + ON)
+    rows = [(0, EVENTS, "std_msgs/msg/String", each) for each in events]
+    assert calls_of(tmp_path / "a.mcap", rows).services[SERVICE].count == 1
