@@ -79,11 +79,16 @@ def _peers(facts: Facts) -> Iterator[Line]:
         yield {"link": str(peer["link"]), "peer": peer["peer"], "role": peer["role"]}, float(peer["connected"])
 
 
-def _clocks(facts: Facts) -> Iterator[Line]:
-    for peer in facts["peers"]:
-        for bound in ("low", "high"):
-            if peer["clock"] and (ns := peer["clock"][f"{bound}_ns"]) is not None:
-                yield {"link": str(peer["link"]), "peer": peer["peer"], "bound": bound}, ns / NS_PER_S
+def _clocks(fields: Mapping[str, str], scale: float = 1.0) -> Callable[[Facts], Iterator[Line]]:
+    """Return a function that yields the bounds of peers' clocks: bound → its field."""
+
+    def lines(facts: Facts) -> Iterator[Line]:
+        for peer in facts["peers"]:
+            for bound, name in fields.items():
+                if peer["clock"] and (found := peer["clock"][name]) is not None:
+                    yield {"link": str(peer["link"]), "peer": peer["peer"], "bound": bound}, found / scale
+
+    return lines
 
 
 def _of_links(count: str) -> Callable[[Facts], Iterator[Line]]:
@@ -145,7 +150,13 @@ METRICS = (
         "peer_clock_offset_seconds",
         "gauge",
         "how far the clock of a peer is ahead of gateway time: at least (bound low), at most (bound high)",
-        _clocks,
+        _clocks({"low": "low_ns", "high": "high_ns"}, NS_PER_S),
+    ),
+    Metric(
+        "peer_clock_drift_ppm",
+        "gauge",
+        "how much faster than gateway time it runs, in millionths: at least (bound low), at most (bound high)",
+        _clocks({"low": "drift_low_ppm", "high": "drift_high_ppm"}),
     ),
     Metric("peers_refused_total", "counter", "refused connections by reason", _refused),
     Metric("link_faults_total", "counter", "links that ended with a fault or inside a message", _link_faults),

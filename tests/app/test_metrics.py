@@ -258,3 +258,16 @@ def test_other_hosts_need_an_allowance_and_a_taken_port_is_named() -> None:
         MetricsServer("0.0.0.0", 0, Nothing(), _no_marks)
     with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(Unavailable, match="in use by another program"):
         MetricsServer("127.0.0.1", taken.getsockname()[1], Nothing(), _no_marks)
+
+
+def test_the_clocks_of_peers_have_their_bounds() -> None:
+    metrics = {metric.name: metric for metric in METRICS}
+    known = {"low_ns": -1_500_000, "high_ns": 2_000_000, "drift_low_ppm": -3.5, "drift_high_ppm": 4.0}
+    one_way = {"low_ns": 7, "high_ns": None, "drift_low_ppm": None, "drift_high_ppm": None}
+    peers = [{"link": number, "peer": "a:5", "clock": clock} for number, clock in enumerate((known, one_way, None), 1)]
+    offsets, drifts = (
+        [(labels["link"], labels["bound"], value) for labels, value in metrics[name].lines({"peers": peers})]
+        for name in ("peer_clock_offset_seconds", "peer_clock_drift_ppm")
+    )
+    assert offsets == [("1", "low", -0.0015), ("1", "high", 0.002), ("2", "low", 7e-9)]
+    assert drifts == [("1", "low", -3.5), ("1", "high", 4.0)]
