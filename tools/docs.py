@@ -64,6 +64,7 @@ from igtl_gateway.gateway.dialogue import answers
 from igtl_gateway.gateway.dialogue.links import LINKS_TOPIC
 from igtl_gateway.gateway.log.fates import DROPPED, KEPT, REFUSED_COMMANDS
 from igtl_gateway.wire.body import Body
+from igtl_gateway.wire.deviations import DEVIATIONS
 from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.header import Header
 from igtl_gateway.wire.layout import Layout
@@ -1052,6 +1053,23 @@ def notes() -> str:
     )
 
 
+def senders() -> str:
+    """docs/reference/senders.md."""
+    return document(
+        "# Who sends what differently",
+        GENERATED,
+        prose(
+            """Other implementations of OpenIGTLink, and where they deviate from the protocol or from the C++ library.
+            What is certain is read, and recorded as received; a note (`deviation_read`) reports it once for each link.
+            What may mean something else is refused, with a line that names the program."""
+        ),
+        table(
+            ("program", "what differs", "what the gateway does", "what to change"),
+            ((row.program, row.differs, row.gateway, row.change) for row in DEVIATIONS),
+        ),
+    )
+
+
 def topics() -> str:
     """docs/reference/topics.md."""
     kinds: dict[tuple[str, str], list[str]] = {}
@@ -1427,6 +1445,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "reference/messages.md": messages,
     "reference/parameters.md": node_parameters,
     "reference/notes.md": notes,
+    "reference/senders.md": senders,
     "reference/topics.md": topics,
     **{page: partial(filled, page) for page in PARTS},
 }

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.errors import ChecksumMismatch, WireError
 from igtl_gateway.wire import Header, Item, Message, decode, describe, encode
-from igtl_gateway.wire.deviations import BARE, READ, VERSION_3
+from igtl_gateway.wire.deviations import BARE, DEVIATIONS, READ, VERSION_3
 from igtl_gateway.wire.header import READING, crc64
 from igtl_gateway.wire.message import metadata_of
 from igtl_gateway.wire.text import String
@@ -78,7 +78,7 @@ def test_what_is_certain_is_read(data: bytes, kind: str, as_sent: bytes | None) 
         (framed("TRANSFORM", IDENTITY, 4), "found 4, expected 1 or 2"),
         (framed("TRANSFORM", IDENTITY, 0), "found 0, expected 1 or 2"),
         (framed("TRANSFORM", IDENTITY[:-1], 2), "extended header"),
-        (framed("TRANSFORM", IDENTITY[:-1], 3), "the library numbers protocol 3 as header version 2"),
+        (framed("TRANSFORM", IDENTITY[:-1], 3), "header version 3 with metadata"),
         # what may be an extended header is one: 36 bytes are left for the pose
         (framed("TRANSFORM", b"\0\x0c" + bytes(46), 2), "36 bytes"),
         (framed("STATUS", struct.pack(">Hq20s", 13, 0, b"Warming") + b"no\0", 2), "expected"),
@@ -86,7 +86,7 @@ def test_what_is_certain_is_read(data: bytes, kind: str, as_sent: bytes | None) 
         (framed("TRANSFORM", b"", 2), "extended header"),
         (framed("GET_TRANS", bytes(8), 2), "extended header"),
         (framed("UNKNOWN", IDENTITY, 2), "extended header"),
-        (framed("TRANSFORM", WITH_METADATA[:-1], 3), "the library numbers protocol 3 as header version 2"),
+        (framed("TRANSFORM", WITH_METADATA[:-1], 3), "header version 3 with metadata"),
     ],
 )
 def test_what_may_mean_something_else_is_refused(data: bytes, named: str) -> None:
@@ -99,21 +99,29 @@ def test_what_may_mean_something_else_is_refused(data: bytes, named: str) -> Non
 @pytest.mark.parametrize(
     ("data", "named"),
     [
-        (framed("TRANSFORM", IDENTITY, 2), "openigtlink-rust 0.4.1 writes this unless its version is set to 1"),
+        (framed("TRANSFORM", IDENTITY, 2), "openigtlink-rust 0.4.1: header version 2 without an extended header"),
         (framed("STRING", HI, 2), "without an extended header"),
         (framed("TRANSFORM", IDENTITY, 3), "openigtlink-rust"),
-        (framed("TRANSFORM", WITH_METADATA, 3), "writes version 3 with metadata"),
-        (framed("CAPABILITY", b"TRANSFORMSTRING"), "OpenIGTLink-Java (WPI) does not pad the type names"),
-        (framed("IMAGE", image(1, (4, 3, 1), (3, 4, 1), 12)), "columns and rows of the sub-volume are exchanged"),
-        (framed("IMAGE", image(2, (4, 3, 1), (4, 3, 1), 36)), "RGB is declared as 2 components, as pyIGTLink"),
-        (framed("IMAGE", V2 + image(2, (4, 3, 1), (4, 3, 1), 36) + b"\0\0", 2), "pyIGTLink 0.2.1"),
-        (framed("POSITION", bytes(152)), "pyigtl writes a layout of its own"),
+        (framed("TRANSFORM", WITH_METADATA, 3), "header version 3 with metadata"),
+        (framed("CAPABILITY", b"TRANSFORMSTRING"), "OpenIGTLink-Java (WPI) 94ffbb9: CAPABILITY has names"),
+        (framed("CAPABILITY", b"\0\0\0\2TRANSFORM\0STRING\0"), "openigtlink-rust 0.4.1: CAPABILITY has a count"),
+        (framed("IMAGE", image(1, (4, 3, 1), (4, 3, 1), 12)[:60] + bytes(12), 2), "no fields of the sub-volume"),
+        (framed("IMAGE", image(1, (4, 3, 1), (3, 4, 1), 12)), "columns and rows of the sub-volume exchanged"),
+        (framed("IMAGE", image(2, (4, 4, 3), (4, 4, 3), 48)), "pyIGTLink 0.2.1: RGB is declared as 2 components"),
+        (framed("IMAGE", V2 + image(2, (4, 4, 3), (4, 4, 3), 48) + b"\0\0", 2), "pyIGTLink 0.2.1"),
+        (framed("POSITION", bytes(152)), "POSITION has a layout of its own"),
     ],
 )
 def test_the_reason_names_the_sender(data: bytes, named: str) -> None:
     with pytest.raises(WireError) as caught:
         decode(data)
     assert named in str(caught.value.expected)
+
+
+def test_each_row_of_the_table_is_complete() -> None:
+    for row in DEVIATIONS:
+        assert row.program and row.differs and row.gateway and row.change and "|" not in row.text
+        assert bool(row.shows) == ("deviation_read" in row.gateway or row.gateway.startswith("refused; the error"))
 
 
 @pytest.mark.parametrize(

@@ -92,6 +92,12 @@ def python(source: str) -> Callable[[argparse.Namespace, Path], list[str]]:
     return made
 
 
+def octave(options: argparse.Namespace, _: Path) -> list[str]:
+    if not options.sources:
+        raise SystemExit("found no --sources, expected the folder of the sender for MATLAB")
+    return ["octave-cli", "--no-gui", str(PROGRAMS / "octave" / "peer_matlab.m"), str(Path(options.sources).resolve())]
+
+
 def program(options: argparse.Namespace, _: Path) -> list[str]:
     if not options.program:
         raise SystemExit("found no --program, expected the path of the program")
@@ -129,6 +135,35 @@ KINDS = {
             ("CAPABILITY", "*", TO_ROS): "names are not padded to 12 bytes: refused, with its name; its fault",
             ("STRING", "*", TO_IGTL): "a server loses characters beyond US-ASCII, a client ends at a STRING: its fault",
             ("IMAGE", "*", TO_IGTL): "it ends at an IMAGE of several components or slices: its fault",
+        },
+    ),
+    "openigtlink-rust": Kind(
+        "openigtlink-rust",
+        program,
+        (*SEVEN, "SENSOR", "POINT", "TDATA"),
+        ("TRANSFORM", "POSITION", "STRING", "STATUS", "IMAGE", "SENSOR", "POINT", "TDATA"),
+        faults={
+            (
+                "IMAGE",
+                "*",
+                TO_ROS,
+            ): "it lacks the fields of the sub-volume, and has the matrix by rows: refused, with its name; its fault",
+            ("IMAGE", "*", TO_IGTL): "it takes the fields of the sub-volume for pixels, and refuses it: its fault",
+            ("TDATA", "*", TO_ROS): "matrices by rows are left out: its fault",
+            ("TDATA", "*", TO_IGTL): "it reads matrices by rows: its fault",
+            ("CAPABILITY", "*", TO_ROS): "a count, and names that end with NUL: refused, with its name; its fault",
+            ("STATUS", "*", TO_IGTL): "it takes a code of 12 or more for an extended header: its fault",
+        },
+    ),
+    "matlab": Kind(
+        "MatlabOpenIGTLink, in Octave",
+        octave,
+        ("TRANSFORM", "STRING", "IMAGE"),
+        (),
+        (False,),
+        stamp=None,
+        faults={
+            ("IMAGE", "*", TO_ROS): "its function has no arguments for this: colours, or a matrix with spacing",
         },
     ),
     "pyigtlink": Kind(
@@ -234,7 +269,8 @@ def stamped(value: Any, nanosec: int | None) -> Any:
     if isinstance(value, dict):
         if set(value) == {"sec", "nanosec"}:
             return {} if nanosec is None else value | {"nanosec": nanosec} if value["nanosec"] == NANOSEC else value
-        return {key: stamped(one, nanosec) for key, one in value.items()}
+        # a server in Rust adds metadata
+        return {key: stamped(one, nanosec) for key, one in value.items() if key != "metadata"}
     return [stamped(one, nanosec) for one in value] if isinstance(value, list) else value
 
 
@@ -302,6 +338,7 @@ def main() -> int:
     parser.add_argument("--classes", help="class path of a library in Java")
     parser.add_argument("--python", help="interpreter that has the package")
     parser.add_argument("--program", help="path of a program that speaks the lines of foreign_peers.py")
+    parser.add_argument("--sources", help="folder of a sender for MATLAB, for Octave with the package sockets")
     parser.add_argument("--version", required=True, help="of the implementation: its release or commit")
     options = parser.parse_args()
     kind = KINDS[options.name]
@@ -309,7 +346,11 @@ def main() -> int:
         folder = Path(name)
         rows = judge(kind, kind.made(options, folder), folder)
     return results.write(
-        options.name, kind.program, options.version, "client and server" if len(kind.roles) > 1 else "server", rows
+        options.name,
+        kind.program,
+        options.version,
+        "client and server" if len(kind.roles) > 1 else "server" if kind.roles[0] else "client",
+        rows,
     )
 
 

@@ -169,3 +169,10 @@ def test_a_replay_at_another_time_moves_the_stamp_that_was_meant() -> None:
     plain: Entry = replace(entry, source_ns=U64.unpack_from(entry.data(), TICKS_AT)[0] and SECONDS * NS_PER_S + 3)
     (data,) = Restamper("shift", print).payload(plain, entry.stamp_ns + 5 * NS_PER_S)
     assert decode(data).ticks == ns_to_ticks(SECONDS * NS_PER_S + 3 + 5 * NS_PER_S)
+
+
+def test_what_is_not_there_is_a_status_which_it_reads_and_no_empty_transform_which_it_shows_as_null() -> None:
+    made = script(NAMED)
+    for version in (1, 2):
+        lines = made.igtl(Message("GET_TRANS", "Any", EmptyQuery(), 0, version))
+        assert "igtl STATUS/Any v1 to 1" in lines and not any("igtl TRANSFORM" in line for line in lines)

@@ -1,0 +1,3 @@
+% Octave has no import of Java classes: the sender needs none but DataOutputStream.
+function import (varargin)
+end
