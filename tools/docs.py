@@ -1133,9 +1133,9 @@ def topics() -> str:
         "It also answers the **services and actions of the recording**: a request or goal equal to a recorded one\n"
         "gets the recorded response, feedback and result, with the recorded delays at `--rate`; the last one repeats.\n"
         "Other goals are rejected, other requests get no response; the summary counts both. A goal that was canceled\n"
-        "waits for its client to cancel it. A server that is there stays the only one. `--services call` sends the\n"
-        "recorded requests, and goals with new ids; `--services topics` does neither. All need contents in service\n"
-        "introspection, which servers of actions have since Kilted.",
+        "waits for its client to cancel it. `--loop` keeps the servers; one that is there already stays the only one.\n"
+        "`--services call` sends the recorded requests, and goals with new ids; `--services topics` does neither. All\n"
+        "need contents in service introspection, which servers of actions have since Kilted.",
         "## In recordings only",
         table(
             ("topic", "ROS type", "content"),
