@@ -71,6 +71,7 @@ if TYPE_CHECKING:
     from igtl_gateway.replay.moment import check_part as check_part
     from igtl_gateway.replay.moment import since_text as since_text
     from igtl_gateway.replay.played_action import PlayedAction as PlayedAction
+    from igtl_gateway.replay.recorded_calls import RecordedRequests as RecordedRequests
     from igtl_gateway.replay.recorded_calls import RecordedService as RecordedService
     from igtl_gateway.replay.recorded_calls import recorded_calls as recorded_calls
     from igtl_gateway.replay.recorded_clocks import RecordedClocks as RecordedClocks
@@ -138,7 +139,7 @@ HOMES: Homes = (
     ("replay.moment", "check_part since_text"),
     ("replay.recorded_marks", "carry_marks marked_moment marks_of"),
     ("record.sessionfile.seals", "stated_seals"),
-    ("replay.recorded_calls", "RecordedService recorded_calls"),
+    ("replay.recorded_calls", "RecordedRequests RecordedService recorded_calls"),
     ("replay.played_action", "PlayedAction"),
     # Its entries as they were before, and through a gateway
     ("replay.source", "check_recorded through_gateway without_messages"),

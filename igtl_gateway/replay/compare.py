@@ -49,6 +49,8 @@ _POINTS = frozenset({"geometry_msgs/msg/Point", "geometry_msgs/msg/Point32"})
 _BITS = re.compile(r"(8|16|32|64)([USF])C?[0-9]*$")
 _NOTES = frozenset({Kind.LINK, Kind.EDGE_NOTE, Kind.NOTE})
 _NOTHING = "nothing"
+#: The field in which rosbags has the type of a message: no value of it.
+_NAME = "__msgtype__"
 #: Where random identifiers are: of goals, and of the clients of services.
 _UUID, _CLIENT = "unique_identifier_msgs/msg/UUID", "info.client_gid"
 
@@ -342,12 +344,13 @@ class LeafDecoder:
             own = bytes(getattr(value, "uuid", value))
             yield path, self._ids.get(own, own.hex())
         elif ros_type in _ARRAYS:
-            parts = {item.name: getattr(value, item.name) for item in dataclasses.fields(value)}
+            parts = {item.name: getattr(value, item.name) for item in dataclasses.fields(value) if item.name != _NAME}
             for name, part in {**parts, **_ARRAYS[ros_type](value, mm)}.items():
                 yield from self._walk(part, f"{path}.{name}" if path else name, mm)
         elif ros_type:
             for item in dataclasses.fields(value):
-                yield from self._walk(getattr(value, item.name), f"{path}.{item.name}" if path else item.name, mm)
+                if item.name != _NAME:
+                    yield from self._walk(getattr(value, item.name), f"{path}.{item.name}" if path else item.name, mm)
         elif isinstance(value, list) and value and getattr(value[0], "__msgtype__", "") in _POINTS:
             yield path, ElementArray(np.array([(one.x, one.y, one.z) for one in value]), "points", mm)
         elif isinstance(value, list):

@@ -10,7 +10,9 @@ from collections import Counter, deque
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from operator import itemgetter
+from typing import TYPE_CHECKING
 
 from igtl_gateway.base.errors import ConversionError, UnsupportedRecording
 from igtl_gateway.base.untrusted.dialects import RULE
@@ -28,6 +30,9 @@ from igtl_gateway.convert.exchanges import (
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import ElementArray, LeafDecoder, Undecodable
+
+if TYPE_CHECKING:
+    from igtl_gateway.base.untrusted.decoding import MessageDecoder
 
 #: Bytes of a request of an action: encapsulation, and the id of the goal behind it.
 HEAD, ID = 4, 16
@@ -88,7 +93,8 @@ class Contents:
             "request/msg/Alone": f"{request}\n{needed}",
             "request/msg/InEvent": f"uint8[{_REQUEST - HEAD}] head_\n{request}\nuint32 tail_\n{needed}",
         }
-        self._decoder = LeafDecoder(texts if needed else {})
+        self._texts = texts if needed else {}
+        self._decoder = LeafDecoder(self._texts)
         self._is_goal = is_goal
 
     def of_event(self, event: bytes) -> Hashable:
@@ -98,6 +104,23 @@ class Contents:
     def of_request(self, request: bytes) -> Hashable:
         """The values of a request, CDR."""
         return self._values("request/msg/Alone", request, request[HEAD:])
+
+    def alone(self, event: bytes) -> bytes | None:
+        """The request of an event as a message of its own, CDR; None where no definition states where values begin."""
+        name = "request/msg/Alone"
+        try:
+            content = self._messages.decode("request/msg/InEvent", event).content
+            store = self._messages.store(name)
+            return bytes(store.serialize_cdr(store.types[name](content), name))
+        except Exception:  # rosbags raises many types of errors for invalid bytes
+            return None
+
+    @cached_property
+    def _messages(self) -> MessageDecoder:
+        # imported only if requests are sent
+        from igtl_gateway.base.untrusted.decoding import MessageDecoder
+
+        return MessageDecoder(lambda name: self._texts.get(name, ""))
 
     def _values(self, type_: str, data: bytes, content: bytes) -> Hashable:
         try:
@@ -144,6 +167,23 @@ class RecordedService:
             return answers[0]
         self.count -= answers[0] is not None
         return answers.popleft()
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedRequests:
+    """The requests of one service, also of one of an action, in their order.
+
+    Attributes:
+        name: of the service.
+        type: ``package/srv/Name``, ``package/action/Name_SendGoal``.
+        contents: of its requests.
+        exchanges: the requests.
+    """
+
+    name: str
+    type: str
+    contents: Contents
+    exchanges: Sequence[Exchange]
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,11 +262,13 @@ class RecordedCalls:
     Attributes:
         services: with the requests that have contents.
         actions: with the goals that have contents.
+        requests: those of both, by service.
         unknown: services and actions without any → why.
     """
 
     services: dict[str, RecordedService] = field(default_factory=dict)
     actions: dict[str, RecordedAction] = field(default_factory=dict)
+    requests: dict[str, RecordedRequests] = field(default_factory=dict)
     unknown: dict[str, str] = field(default_factory=dict)
 
 
@@ -260,16 +302,17 @@ def recorded_calls(file: SessionFile, wanted: Sequence[str] = ()) -> RecordedCal
     found = RecordedCalls()
     for (topic, type_), rows in events.items():
         exchanges = list(_exchanges(rows))
-        name = service_of(topic)
+        name, service_type = service_of(topic), type_.removesuffix("_Event")
+        contents = Contents(type_, file.definitions.get(type_, ""))
+        if exchanges:
+            found.requests[name] = RecordedRequests(name, service_type, contents, exchanges)
         if named := action_of(topic):
             parts = actions.setdefault(named[0], _Parts())
             parts.exchanges[named[1]] = exchanges
             if named[1] == "send_goal":
                 parts.event_type = type_
         elif exchanges:
-            service = RecordedService(
-                name, type_.removesuffix("_Event"), Contents(type_, file.definitions.get(type_, ""))
-            )
+            service = RecordedService(name, service_type, contents)
             for each in exchanges:
                 service.add(each)
             found.services[name] = service

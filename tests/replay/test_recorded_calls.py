@@ -63,6 +63,15 @@ def test_a_request_is_known_by_its_values_wherever_it_is() -> None:
     assert service.count == 0
 
 
+def test_a_request_alone_has_its_values_where_they_belong() -> None:
+    definition = Definition(b"int32 a\nfloat64 b\nstring c\n---\nbool done\n").text("robot/srv/Plan_Event")
+    asked_for = event(0, 0, 1, request=struct.pack("<idI3sx", 5, 0.5, 3, b"ab\0"))
+    contents = Contents("robot/srv/Plan_Event", definition)
+    assert contents.alone(asked_for) == HEAD + struct.pack("<i4xdI3s", 5, 0.5, 3, b"ab\0")
+    assert contents.alone(asked_for[:60]) is None
+    assert Contents("robot/srv/Plan_Event", "").alone(asked_for) is None
+
+
 def test_the_last_answer_may_come_again() -> None:
     service = RecordedService("/a", SERVICE_TYPE, Contents(f"{SERVICE_TYPE}_Event", ""))
     for text in (b"one", b"two"):
@@ -101,6 +110,13 @@ def test_all_that_a_recording_has(tmp_path: Path) -> None:
         )
     assert ends == {3: (4, True, False), 9: (ABORTED, True, False), 5: (5, True, True), 7: (2, False, False)}
     assert action.take(asked(3)) is None
+    requests = {name: (each.type, len(each.exchanges)) for name, each in found.requests.items()}
+    assert requests == {
+        SERVICE: (SERVICE_TYPE, 4),
+        "/fib/_action/send_goal": (f"{ACTION_TYPE}_SendGoal", 4),
+        "/fib/_action/get_result": (f"{ACTION_TYPE}_GetResult", 4),
+        "/fib/_action/cancel_goal": ("action_msgs/srv/CancelGoal", 1),
+    }
 
 
 @table(

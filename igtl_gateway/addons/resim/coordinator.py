@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 
 from igtl_gateway.addon import GatewayError
 from igtl_gateway.addon.messages import ACTION_SERVICES, ACTION_TOPICS, IN_ACTION, SERVICE_EVENT, action_of
-from igtl_gateway.addon.reading import PlayedAction, Qos, RecordedService, incompatible
+from igtl_gateway.addon.reading import PlayedAction, Qos, RecordedRequests, RecordedService, incompatible
 from igtl_gateway.addon.terminal import count_text, duration_text
 from igtl_gateway.addons.resim import frames
 from igtl_gateway.addons.resim.frames import ALL, DEADLINE, MESSAGE, NEVER, EntityFrame
@@ -32,8 +32,12 @@ _BATCH, _BATCH_BYTES = 512, 1 << 20
 #: At the end of the session, a callback may sleep for this time: it returns then.  Longer is forever.
 _LONGEST_SLEEP_NS = 60_000_000_000
 _YEAR_NS = 365 * 86_400_000_000_000
-#: Stands for the number of a program: the message is one of an action of the recording.
-_OF_RECORDING = -1
+#: Stand for the number of a program: the message is one of an action of the recording, or a recorded request.
+_OF_RECORDING, _REQUESTED = -1, -2
+#: The number of a program that programs see as that of recorded clients.
+_RECORDING = (1 << 32) - 1
+#: Place of a service, and number of its request.
+_ASKED = struct.Struct("=II")
 #: Messages of the programs at one session time; more are a flood.
 _MOST_AT_ONCE = 100_000
 
@@ -129,6 +133,7 @@ class Roles:
         answered: services that programs call and none offers, with the number of their recorded answers.
         unserved: services without one.
         played: actions that programs call and none offers, with the number of their recorded goals.
+        asked: services that programs offer and the recording calls, with the number of their recorded requests.
     """
 
     inputs: dict[str, int] = field(default_factory=dict)
@@ -141,6 +146,7 @@ class Roles:
     answered: dict[str, int] = field(default_factory=dict)
     unserved: list[str] = field(default_factory=list)
     played: dict[str, int] = field(default_factory=dict)
+    asked: dict[str, int] = field(default_factory=dict)
 
 
 class Coordinator:
@@ -152,8 +158,10 @@ class Coordinator:
         topics: its ROS topics.
         services: those whose answers it has; they are used up.
         actions: those whose goals it has.
+        requests: those of its services, for the programs that offer them.
         outputs: where outputs go.
         start_ns, end_ns: session time of the run.
+        since_ns: session time from which on there are recorded requests.
         latency_ns: from the sending of a message to its arrival.
         is_input: whether a recorded topic is an input although a program publishes it (True), is not one (False), or
             follows from the programs (None).
@@ -171,9 +179,11 @@ class Coordinator:
         topics: Mapping[str, RecordedTopic],
         services: Mapping[str, RecordedService],
         actions: Mapping[str, PlayedAction],
+        requests: Mapping[str, RecordedRequests],
         outputs: OutputFile,
         *,
         start_ns: int,
+        since_ns: int,
         end_ns: int,
         latency_ns: int,
         is_input: Callable[[str], bool | None],
@@ -186,11 +196,13 @@ class Coordinator:
         self._peers, self._inputs, self._topics, self._outputs = peers, inputs, topics, outputs
         self._start_ns, self._end_ns, self._latency_ns = start_ns, end_ns, latency_ns
         self._services, self._actions = services, actions
+        self._requests, self._since_ns = dict(requests), since_ns
         self._is_input = is_input
         self._on_start, self._on_event, self._on_remark = on_start, on_event, on_remark
         self._left = most_outputs
         self._last_ns, self._at_once = start_ns, 0
         self._input_class = input_class
+        self._asked: list[RecordedRequests] = []
         self._messages: list[tuple[int, int, int, bytes]] = []  # heap of time, order, peer, frame
         self._order = 0
         self._latched: dict[str, list[tuple[Qos, RecordedInput]]] = {}
@@ -252,6 +264,10 @@ class Coordinator:
                 self.now_ns = max(self.now_ns, time_ns)
                 if index == _OF_RECORDING:
                     self._play(frame.decode(), time_ns)
+                    continue
+                if index == _REQUESTED:
+                    place, number = _ASKED.unpack_from(frame)
+                    self._ask(self._asked[place], number, frame[_ASKED.size :], time_ns)
                     continue
                 self.events += 1
                 self._grant(self._peers[index], [frame], time_ns, MESSAGE)
@@ -397,6 +413,8 @@ class Coordinator:
                 self._entity(peer, frame)
             case frames.Request():
                 self._request(peer, frame)
+            case frames.Response(program=program) if program == _RECORDING:
+                return  # the client is in the recording
             case frames.Response():
                 self._send(
                     frame.program,
@@ -487,6 +505,38 @@ class Coordinator:
         else:
             self.unserved[name] += 1
 
+    # -- requests of the recording ------------------------------------------------------------------------------------
+
+    def _plan_requests(self, name: str) -> None:
+        """Queue the recorded requests of a service that a program offers, once."""
+        of = self._requests.pop(name, None)
+        place = len(self._asked)
+        for number, each in enumerate(of.exchanges if of else (), 1):
+            data = of.contents.alone(each.request) if of and each.asked_ns >= max(self.now_ns, self._since_ns) else None
+            if data is not None:
+                self._arrive(each.asked_ns, _REQUESTED, _ASKED.pack(place, number) + data)
+        if of:
+            self._asked.append(of)
+
+    def _ask(self, of: RecordedRequests, number: int, data: bytes, time_ns: int) -> None:
+        """Send a recorded request, if the recording is the client of the service now."""
+        if not self._is_asked(of):
+            return
+        for peer in self._peers:
+            for each in peer.named("v", of.name):
+                self.events += 1
+                self.delivered[of.name] += 1
+                frame = frames.to_service(time_ns, each.frame.number, _RECORDING, 0, number, data)
+                self._grant(peer, [frame], time_ns, MESSAGE)
+                return
+
+    def _is_asked(self, of: RecordedRequests) -> bool:
+        """Whether a program offers a service, with its type, and none calls it; or an input, which counts although."""
+        types = {each.frame.type for peer in self._peers for each in peer.named("v", of.name)}
+        chosen = self._is_input(f"{of.name}{SERVICE_EVENT}")
+        is_called = any(peer.named("c", of.name) for peer in self._peers)
+        return types == {of.type} and (not is_called if chosen is None else chosen)
+
     # -- actions of the recording -------------------------------------------------------------------------------------
 
     def _wake(self, action: str) -> None:
@@ -562,6 +612,8 @@ class Coordinator:
         topic = self._topics.get(frame.name)
         if frame.kind == "p" and topic:
             self._announce(topic)
+        if frame.kind == "v" and frame.is_made:
+            self._plan_requests(frame.name)
         if frame.kind == "v" and (service := self._services.get(frame.name)):
             self._announce_service(service.name, service.type)
         if frame.kind == "v" and (named := action_of(f"{frame.name}{SERVICE_EVENT}")) and named[0] in self._actions:
@@ -663,6 +715,7 @@ class Coordinator:
             {name: self._services[name].count for name in sorted(called - served) if name in self._services},
             sorted(called - served - self._services.keys()),
             played,
+            {each.name: len(each.exchanges) for each in self._asked if self._is_asked(each)},
         )
 
     def end(self) -> None:

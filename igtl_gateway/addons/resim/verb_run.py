@@ -352,6 +352,7 @@ def _print_roles(roles: Roles) -> None:
     rows += [("not received", name, why) for name, why in roles.refused.items()]
     rows += [("service", name, count_text(count, "recorded answer")) for name, count in roles.answered.items()]
     rows += [("action", name, count_text(count, "recorded goal")) for name, count in roles.played.items()]
+    rows += [("requests", name, count_text(count, "recorded request")) for name, count in roles.asked.items()]
     rows += [("no server", name, "called, but no program offers it") for name in roles.unserved]
     if roles.unused:
         rows.append(("not used", count_text(len(roles.unused), "recorded topic"), ""))

@@ -1,4 +1,4 @@
-"""Services and actions whose server is only in the recording: answered with what the events of introspection have."""
+"""Services and actions of which the recording is the server, or the client, by the events of introspection."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from igtl_gateway.addon.messages import goal_states
 from igtl_gateway.addon.reading import Entry, Kind
 from igtl_gateway.addon.writing import SessionWriter
 from igtl_gateway.record.sessionfile.definition import Definition
@@ -112,3 +113,41 @@ def test_an_action_is_answered_from_the_recording(tmp_path: Path) -> None:
     assert sum("accepted=False" in text for text in said) == 15
     # goals 7 to 20 are not recorded, and the result of the sixth neither
     assert result.runs[0].unserved == {"/drive": 15}
+
+
+@pytest.mark.ros
+@pytest.mark.skipif(not find_spec("test_msgs"), reason="needs test_msgs")
+def test_a_server_gets_the_recorded_goals(tmp_path: Path) -> None:
+    """At their times, with requests for results and cancellations; what it publishes is its output."""
+    recording = record_action(tmp_path / "in.mcap", recorded_goals(), 20)
+    result, verdict = judged(recording, tmp_path, "fibonacci server", lead_ns=1000 * MS)
+    assert verdict.between_runs == [] and len({one.outputs for one in result.runs}) == RUNS
+    assert result.roles
+    assert result.roles.asked == {
+        "/drive/_action/send_goal": 6,
+        "/drive/_action/get_result": 4,
+        "/drive/_action/cancel_goal": 1,
+    }
+    outputs = result.runs[0].outputs
+    ends = dict(state for _, data in published(outputs, "/drive/_action/status") for state in goal_states(data))
+    # the fourth is rejected by this server, the third is not; the fifth was canceled after 5 ms
+    assert {goal[0]: status for goal, status in ends.items()} == {1: 4, 2: 4, 3: 4, 5: 5, 6: 4}
+    times = [time_ns - sessions.START_NS for time_ns, _ in published(outputs, "/drive/_action/feedback")]
+    assert times[0] // MS == 10 and len(times) == 4 * 4 + 2
+
+
+@pytest.mark.ros
+@pytest.mark.skipif(not find_spec("rclpy"), reason="needs ROS 2")
+def test_a_recorded_client_asks_only_if_no_program_does(tmp_path: Path) -> None:
+    events = [event for number in range(3) for event in exchange(number, number * MS, True, b"a")]
+    recording = record(tmp_path / "in.mcap", *events)
+    own = ("/switch/_service_event",)
+    for names, inputs, outputs, asked in (
+        (("switch",), (), (), 3),
+        (("switch", "caller"), (), (), 0),
+        (("switch", "caller"), own, (), 3),
+        (("switch",), (), own, 0),
+    ):
+        result, _ = judged(recording, tmp_path, *names, runs=1, inputs=inputs, outputs=outputs)
+        assert result.roles and result.roles.asked == ({"/switch": asked} if asked else {})
+        assert result.runs[0].delivered.get("/switch", 0) == asked
