@@ -131,6 +131,7 @@ LONG_FILES = {
     "integration/test_hostile_crowds.py": "integration/test_hostile.py",
     "integration/test_browser_peer.py": "edges/tcp/websocket/test_framed_socket.py",
     "integration/test_hostile_websocket.py": "edges/tcp/websocket/test_framed_socket.py",
+    "integration/test_websocket_live.py": "edges/tcp/websocket/test_framed_socket.py",
     "integration/test_near_names.py": "base/test_near.py",
     "integration/test_page_person.py": "addons/page/test_server.py",
     "integration/test_page_views.py": "addons/page/test_process.py",

@@ -46,11 +46,14 @@ class Layer(ABC):
         shaken: our part of the handshake is complete, and the peer's verdict on it may follow.
         received_bytes: what came over the wire, also what is no part of a message.
         has_left: the peer has announced that it neither sends nor reads any more.
+        is_ending: what ends the conversation waits to be sent, with ``close`` at the latest.
+        is_framed: a whole message needs no more than a frame of WebSocket before it, so the native passage can send.
         manner: how the peer is connected, behind the words "connected to PLACE".
     """
 
     NAME = ""
     PINGS = False
+    is_framed = False
     manner = ""
 
     def __init__(self, sock: AnySocket) -> None:
@@ -60,6 +63,7 @@ class Layer(ABC):
         self.shaken = False
         self.received_bytes = 0
         self.has_left = False
+        self.is_ending = False
 
     @property
     @abstractmethod
@@ -81,6 +85,10 @@ class Layer(ABC):
     @abstractmethod
     def sendmsg(self, parts: Sequence[Part]) -> int:
         """Like a socket's ``sendmsg``; bytes that count as sent might wait here, see ``pending`` and ``flush``."""
+
+    def take_over(self, message: bytes, sent: int) -> int:
+        """The native passage has sent the first bytes of a framed message; return how many of it count as sent."""
+        return sent
 
     @abstractmethod
     def flush(self) -> bool:

@@ -9,13 +9,15 @@ from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.edges.tcp.layer import Layer
 from igtl_gateway.edges.tcp.link import Link
 from igtl_gateway.edges.tcp.link_info import Role
-from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife
+from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife, NativeEnds
 from igtl_gateway.edges.tcp.liveness import Liveness
 from igtl_gateway.edges.tcp.outbox import Part
 from igtl_gateway.edges.tcp.receiver import Receiver
 from igtl_gateway.edges.tcp.sender import Sender
 from igtl_gateway.edges.tcp.sockets import UNANSWERED_S
 from igtl_gateway.gateway.log.note import STOPPED, Level, Note
+from igtl_gateway.native.passage import Link as NativeLink
+from igtl_gateway.native.passage import Lock
 
 #: A peer that is silent for this long (s) is asked whether it is there.
 PING_S = 10.0
@@ -24,22 +26,39 @@ PING_S = 10.0
 class LayeredSender(Sender):
     """A sender some of whose bytes the I/O thread flushes."""
 
-    def __init__(self, sock: Layer, link: LinkLife, context: LinkContext) -> None:
-        super().__init__(sock, link, context)
+    def __init__(self, sock: Layer, link: LinkLife, context: LinkContext, native: NativeEnds | None) -> None:
         self._layer = sock
+        super().__init__(sock, link, context, native)
 
     @property
     def backlog(self) -> int:
         return self._layer.pending
 
-    def flush_soon(self) -> None:
+    def flush_now(self) -> None:
+        """Send what the layer has of its own, such as the answer to a ping; in the I/O thread."""
+        if self._layer.pending:
+            with self.lock:
+                self._take_unsent()  # inside of whose frame nothing may be sent
+                self._flushed()
+                self._flush_soon()
+
+    def _flush_soon(self) -> None:
         """Have the I/O thread send what the kernel did not take; under the lock."""
         if self._layer.pending:
+            self._settle()
             self._request_room()
+
+    def _settle(self) -> None:
+        super()._settle()
+        if self._native and self._layer.pending:
+            self._native.clear = False
+
+    def _begun(self, message: bytes, sent: int) -> int:
+        return self._layer.take_over(message, sent) if sent else 0
 
     def _write(self, parts: Sequence[Part]) -> int:
         sent = super()._write(parts)
-        self.flush_soon()
+        self._flush_soon()
         return sent
 
     def _flushed(self) -> bool:
@@ -71,8 +90,8 @@ class LayeredReceiver(Receiver):
         super().read()
         if self.has_more:
             self._loop.ask(self._link.turn)
-        with self._sender.lock:
-            self._sender.flush_soon()
+        if self._link.is_open and not self._layer.is_ending:  # which would count as not arrived
+            self._sender.flush_now()
 
 
 class LayeredLiveness(Liveness):
@@ -83,6 +102,7 @@ class LayeredLiveness(Liveness):
     ) -> None:
         super().__init__(sock, link, sender, receiver, context)
         self._layer = sock
+        self._layered_sender = sender
         self._received = 0
         self._silent_ns = 0
         self._is_asked = False
@@ -100,6 +120,7 @@ class LayeredLiveness(Liveness):
             if self._silent_ns > PING_S * NS_PER_S and self._sender.all_sent:
                 self._is_asked, self._silent_ns = True, 0
                 self._layer.ping()
+                self._layered_sender.flush_now()
         elif self._silent_ns > UNANSWERED_S * NS_PER_S:
             silence = duration_text(self._silent_ns)
             text = f"{self._link.peer} is unreachable: it has not answered a ping for {silence}"
@@ -121,11 +142,15 @@ class LayeredLink(Link):
         self._layer = sock
         super().__init__(number, sock, role, peer, context, closed)
 
-    def _make_native(self) -> None:
-        """The native passage knows no layers."""
+    def _make_native(self) -> NativeEnds | None:
+        """The native passage sends frames.  It reads none, and does not encrypt."""
+        if self._context.passage is None or not self._layer.is_framed:
+            return None
+        lock = Lock()
+        return NativeEnds(NativeLink(self._context.passage, self.number, self._layer.fileno(), lock, True), lock)
 
     def _make_sender(self) -> Sender:
-        self._layered_sender = LayeredSender(self._layer, self, self._context)
+        self._layered_sender = LayeredSender(self._layer, self, self._context, self.native)
         return self._layered_sender
 
     def _make_receiver(self) -> Receiver:
@@ -156,6 +181,7 @@ class LayeredLink(Link):
 
     def end_sending(self) -> None:
         self._layer.farewell(STOPPED)
+        self.sender.take_unsent()
         super().end_sending()
 
     def close(self, reason: str = "") -> None:

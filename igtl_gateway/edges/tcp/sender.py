@@ -178,8 +178,12 @@ class Sender:
             data, sent, stream, keep = unsent
             if not data:
                 self._lose(stream, sent)
-            elif not self._queue(QueuedMessage((data,), len(data), stream, keep), sent):
+            elif not self._queue(QueuedMessage((data,), len(data), stream, keep), self._begun(data, sent)):
                 self.outbox.dropped[stream] += 1
+
+    def _begun(self, message: bytes, sent: int) -> int:
+        """The native passage has sent bytes for this message: return how many of the message; under the lock."""
+        return sent
 
     def _lose(self, stream: str, sent: int) -> None:
         """There was no memory for the rest of a message, of which ``sent`` bytes are sent; under the lock."""

@@ -301,6 +301,8 @@ class PassageStreams:
     def _copy_to_ros(self, link_number: int, names: bytes, compiled: CompiledToRos) -> _Copy | str:
         """Return the copy, or why there can be none now."""
         link = self._edges.link(link_number)
+        if link and link.is_framed:
+            link = None
         if link and not compiled.place_at:
             link.add_large(names, min(LARGEST_BYTES, HEADER_SIZE + self._edges.max_body(compiled.type)))
         number = self._number_of(Kind.IGTL_IN, compiled.channel, compiled.type, (link_number,))

@@ -15,7 +15,7 @@ struct unsent {
     const struct iovec *parts; /* of the message, in the memory of that thread; NULL: it is in ``data`` */
     struct kept *kept;         /* that memory */
     int parts_count;
-    ssize_t size, sent;
+    ssize_t size, sent; /* the latter with its frame, if it has one */
     char *channel;
     char keep;
     char is_spare; /* the link has its memory */
@@ -65,6 +65,7 @@ struct Link {
     Lock *sending;
     _Atomic char clear; /* nothing is queued: what is sent goes to the kernel at once */
     char muted;         /* nothing is sent any more */
+    char is_framed;     /* each message has a frame of WebSocket; Python reads, and sends all other frames */
     struct unsent *unsent, **unsent_end; /* oldest first; then the link is not clear */
     struct unsent spare; /* where there is no memory for another one: Python learns of the message, without its bytes */
     struct unsent *lent; /* the one that is in the memory of another thread; that one is the oldest */

@@ -78,6 +78,27 @@ static ssize_t send_behind(const Link *self, const struct iovec *parts, int coun
     return sendmsg(self->fd, &message, MSG_DONTWAIT | MSG_NOSIGNAL);
 }
 
+/* Write the head of a frame with a whole message of this size (RFC 6455, section 5.2); return how long it is. */
+static ssize_t frame_head(uint8_t *head, ssize_t size)
+{
+    uint8_t word[8];
+    put_u64(word, (uint64_t)size);
+    int bytes = size < 126 ? 1 : size < 1 << 16 ? 2 : 8, at = bytes > 1 ? 2 : 1;
+    head[0] = 0x82; /* final, binary */
+    head[1] = bytes == 2 ? 126 : 127;
+    memcpy(head + at, word + 8 - bytes, (size_t)bytes);
+    return at + bytes;
+}
+
+/* Have the kernel take as much of a message, in its frame, as it has room for; return how much, or -1. */
+static ssize_t send_framed(const Link *self, const struct iovec *parts, int count, const uint8_t *head, ssize_t head_size)
+{
+    struct iovec framed[1 + MAX_PARTS] = {{(void *)head, (size_t)head_size}};
+    memcpy(framed + 1, parts, (size_t)count * sizeof *parts);
+    const struct msghdr message = {.msg_iov = framed, .msg_iovlen = (size_t)count + 1};
+    return sendmsg(self->fd, &message, MSG_DONTWAIT | MSG_NOSIGNAL);
+}
+
 /* Send a message, of which the kernel takes at once what it has room for.  Returns what is queued of the rest, with a copy of
  * it unless ``kept``, which has its memory, is lent; NULL: nothing.  A link that takes nothing any more, because its peer has left, is passed over.
  * The caller has the lock of the link. */
@@ -88,9 +109,13 @@ static struct unsent *send_or_queue(Link *self, const struct iovec *parts, int c
         add(&output->ignored);
         return NULL;
     }
-    ssize_t sent = !self->clear ? 0 : count > 1 ? send_behind(self, parts, count, 0)
-                                                : send(self->fd, parts->iov_base, (size_t)size, MSG_DONTWAIT | MSG_NOSIGNAL);
-    if (sent == size) {
+    uint8_t head[10];
+    ssize_t head_size = self->is_framed ? frame_head(head, size) : 0;
+    ssize_t sent = !self->clear      ? 0
+                   : self->is_framed ? send_framed(self, parts, count, head, head_size)
+                   : count > 1       ? send_behind(self, parts, count, 0)
+                                     : send(self->fd, parts->iov_base, (size_t)size, MSG_DONTWAIT | MSG_NOSIGNAL);
+    if (sent == size + head_size) {
         self->sent_messages++;
         self->sent_bytes += size;
         return NULL;
@@ -103,7 +128,7 @@ static struct unsent *send_or_queue(Link *self, const struct iovec *parts, int c
         add(&output->ignored);
         return NULL;
     }
-    int lends = kept && self->clear && sent > 0 && !is_spare;
+    int lends = kept && self->clear && sent > 0 && !is_spare && !self->is_framed;
     uint8_t *data = lends || is_spare ? NULL : malloc((size_t)size);
     self->clear = 0;
     if (data)

@@ -78,6 +78,7 @@ class WebSocketSocket(Layer):
     def __init__(self, sock: AnySocket, origins: Origins) -> None:
         super().__init__(sock)
         self._below = sock if isinstance(sock, Layer) else None
+        self.is_framed = self._below is None
         self._origins = origins
         self._lock = threading.Lock()  # guards all below; that of the layer below is taken under it
         self._handshake = H11Handshake(ConnectionType.SERVER)
@@ -94,7 +95,6 @@ class WebSocketSocket(Layer):
         self._left = 0  # bytes of the message whose frame has been sent
         self._control: dict[str, bytes] = {}  # frames that wait for its end
         self._reason = ""  # of the end
-        self._announced_end = False
 
     @property
     def pending(self) -> int:
@@ -223,6 +223,15 @@ class WebSocketSocket(Layer):
                 taken += 1
         return taken
 
+    def take_over(self, message: bytes, sent: int) -> int:
+        head = _frame_head(len(message))
+        taken = max(1, sent - len(head))  # as in ``_advance``
+        with self._lock:
+            if sent <= len(head):
+                self._unsent = memoryview(head[sent:] + message[:1])
+            self._left = len(message) - taken
+        return taken
+
     def flush(self) -> bool:
         with self._lock:
             return self._flush()
@@ -258,9 +267,6 @@ class WebSocketSocket(Layer):
                 else:
                     self._decode()
                     frames += 1
-            if not self._announced_end:  # which ``close`` sends, behind the count of what has not arrived
-                with suppress(OSError):  # the next call, or the sender, finds it
-                    self._flush()  # answers to pings
             if count:
                 self.more = bool(self._rest or self._failure or self.has_left or not self._is_decoded)
                 self.more = self.more or bool(self._below and self._below.more)
@@ -304,7 +310,7 @@ class WebSocketSocket(Layer):
                     self.has_left = True
                     if self._connection.state is ConnectionState.REMOTE_CLOSING:
                         self._control["close"] = self._connection.send(close.response())
-                    self._announced_end = True
+                    self.is_ending = True
 
     def _take(self, data: bytes | bytearray, is_whole: bool) -> None:
         """Take a piece of a message.  A message is as long as its header announces."""
@@ -335,16 +341,14 @@ class WebSocketSocket(Layer):
         with self._lock:
             if self._connection.state is ConnectionState.OPEN:
                 self._control["ping"] = self._connection.send(Ping())
-                with suppress(OSError):
-                    self._flush()
 
     def farewell(self, reason: str) -> None:
         self._reason = reason
 
     def _announce_end(self, code: int, text: str) -> None:
         """Have the frame sent that ends the conversation; under the lock."""
-        if self._request and not self._announced_end and self._connection.state is ConnectionState.OPEN:
-            self._announced_end = True
+        if self._request and not self.is_ending and self._connection.state is ConnectionState.OPEN:
+            self.is_ending = True
             self._control["close"] = self._connection.send(CloseConnection(code=code, reason=text))
 
     def _leave(self) -> None:

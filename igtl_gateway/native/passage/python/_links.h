@@ -12,15 +12,15 @@ static PyObject *link_new(PyTypeObject *type, PyObject *args, PyObject *keywords
     (void)keywords;
     Passage *passage;
     Lock *sending;
-    int number, fd;
-    if (!PyArg_ParseTuple(args, "O!iiO!", Passage_Type, &passage, &number, &fd, Lock_Type, &sending))
+    int number, fd, is_framed = 0;
+    if (!PyArg_ParseTuple(args, "O!iiO!|p", Passage_Type, &passage, &number, &fd, Lock_Type, &sending, &is_framed))
         return NULL;
     Link *self = (Link *)type->tp_alloc(type, 0);
     if (!self)
         return NULL;
     self->passage = (Passage *)Py_NewRef((PyObject *)passage);
     self->sending = (Lock *)Py_NewRef((PyObject *)sending);
-    self->number = number, self->fd = fd;
+    self->number = number, self->fd = fd, self->is_framed = (char)is_framed;
     self->reader = PYTHON;
     self->clear = 1;
     self->large_end = &self->large;
@@ -250,7 +250,7 @@ static PyMethodDef link_methods[] = {
     {"read_natively", (PyCFunction)link_read_natively, METH_VARARGS,
      "Read in the native thread: this number of messages at once, and this number per second, which is the most at once."},
     {"read_by_python", (PyCFunction)link_read_by_python, METH_NOARGS, "Return what was read of an unfinished message, and errno."},
-    {"take_unsent", (PyCFunction)link_take_unsent, METH_NOARGS, "Return a message, the bytes sent of it, its stream, and whether it is to be kept; or None."},
+    {"take_unsent", (PyCFunction)link_take_unsent, METH_NOARGS, "Return a message, the bytes sent of it and its frame, its stream, and whether it is to be kept; or None."},
     {"take_pauses", (PyCFunction)link_take_pauses, METH_NOARGS, "Return how often the link was not read for a while, since the last call."},
     {"close", (PyCFunction)link_close, METH_NOARGS, "Report nothing more."},
     {"add_large", (PyCFunction)link_add_large, METH_VARARGS, "Read large messages with these names natively, up to a size; with the sequence lock."},
@@ -268,6 +268,7 @@ static PyMemberDef link_members[] = {
     {"pauses", T_LONGLONG, offsetof(Link, pauses), READONLY, "Pauses for which take_pauses was not called."},
     {"heard_ns", T_LONGLONG, offsetof(Link, heard_ns), READONLY, "When the last bytes came (monotonic)."},
     {"large_waiting", T_INT, offsetof(Link, large_waiting), READONLY, "Large messages that were not handled yet."},
+    {"is_framed", T_BOOL, offsetof(Link, is_framed), READONLY, "Python reads the link, and each message that is sent has a frame."},
     {"muted", T_BOOL, offsetof(Link, muted), 0, "Nothing is sent any more; with the lock of the sender."},
     {"unsent_bytes", T_LONGLONG, offsetof(Link, unsent_bytes), READONLY, "Bytes that wait for take_unsent."},
     {"sent_messages", T_LONGLONG, offsetof(Link, sent_messages), READONLY, NULL},
