@@ -7,7 +7,9 @@ from __future__ import annotations
 
 #: The profile that is detected, and the names of ``profiles.PROFILES``.
 AUTO = "auto"
-PROFILES = ("default", "slicer", "plus", "plus-v1", "brainlab", "holoscan", "legacy-v1", "openigtlink4j")
+PROFILES = (
+    "default", "slicer", "plus", "plus-v1", "brainlab", "holoscan", "legacy-v1", "openigtlink4j", "openigtlink-rust",
+)  # fmt: skip
 
 #: Length units: those of ``units.UNITS``.
 UNITS = ("m", "dm", "cm", "mm", "um")

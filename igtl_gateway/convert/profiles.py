@@ -20,6 +20,7 @@ from igtl_gateway.convert.geometry import flip_lps_ras
 from igtl_gateway.convert.plus_signs import frame_of_picture, is_any_plus, is_recent_plus
 from igtl_gateway.convert.substitutes import (
     FOR_OPENIGTLINK4J,
+    FOR_OPENIGTLINK_RUST,
     FOR_SLICER,
     SLICER_ASKS,
     SLICER_READS,
@@ -420,6 +421,17 @@ PROFILES: tuple[PeerProfile, ...] = (
         instead=by_type(FOR_OPENIGTLINK4J),
         shows=_is_openigtlink4j,
         milliseconds=True,
+    ),
+    PeerProfile(
+        "openigtlink-rust",
+        facts=(
+            ("takes the first two bytes of a body for the size of an extended header", "0.4.1, reproduced"),
+            ("reads the matrices of TDATA by rows", "0.4.1, reproduced"),
+            ("refuses IMAGE, and ends at CAPABILITY", "0.4.1, reproduced"),
+        ),
+        first_version=2,
+        reads=frozenset(BODIES) - {"TDATA", "IMAGE", "CAPABILITY", "CAPABIL"},
+        instead=by_type(FOR_OPENIGTLINK_RUST),
     ),
 )
 

@@ -160,6 +160,13 @@ FOR_OPENIGTLINK4J: tuple[Substitute, ...] = (
     Substitute(("NDARRAY",), "", "its reader ends at an NDARRAY"),
 )
 
+#: What openigtlink-rust gets of the types that it reads otherwise.
+FOR_OPENIGTLINK_RUST: tuple[Substitute, ...] = (
+    Substitute(("TDATA",), "TRANSFORM of each tool", "it reads the matrices by rows", _tools),
+    Substitute(("IMAGE",), "", "it takes the fields of the sub-volume for pixels"),
+    Substitute(("CAPABILITY", "CAPABIL"), "", "it ends at the list"),
+)
+
 
 def by_type(rows: Iterable[Substitute]) -> Mapping[str, Substitute]:
     """Return type → row."""

@@ -150,9 +150,9 @@ DEVIATIONS = (
     ),
     Deviation(
         _RUST,
-        "reads a STATUS of code 12 or more as an extended header, and no CAPABILITY or IMAGE of others",
-        "sends them; `deny_out` keeps them back",
-        "decide by the header version",
+        "reads a STATUS of code 12 or more as an extended header, TDATA by rows, and no CAPABILITY or IMAGE of others",
+        "with the profile `openigtlink-rust`: header version 2, poses as TRANSFORM, nothing in place of the others",
+        "`--peer HOST:PORT=openigtlink-rust`",
     ),
     Deviation(
         _4J,
@@ -187,6 +187,7 @@ DEVIATIONS = (
         "publishes them as received: no byte shows it",
         "give it the transposed matrix",
     ),
+    Deviation(_WPI, "stamps are up to 8 µs late", "publishes them as received", "nothing"),
     Deviation(
         _WPI,
         "reads a TRANSFORM of header version 2 as one of version 1; a client ends at a STRING",
@@ -256,7 +257,12 @@ DEVIATIONS = (
         "names in US-ASCII",
     ),
     Deviation(_NG, "status of RTS_ and type of TRAJ are signed", "shows them unsigned", "nothing"),
-    Deviation("OpenIGTLink-Unity 5389a61", "stamp 0", "uses the time of receipt; `doctor` W301", "set a stamp"),
+    Deviation(
+        "OpenIGTLink-Unity 5389a61",
+        "sends poses in the left-handed axes of Unity, and mirrors x of what it reads; stamp 0",
+        "publishes them as received: no byte shows it; `doctor` W301",
+        "mirror x in `SendTransformMessage`, too; set a stamp",
+    ),
     Deviation(
         "Sofa.IGTLink 345e19d, OpenEphysIGTLink 18fea50, mrigtlbridge 0b9741e",
         "nothing: the C++ library sends for them",

@@ -141,18 +141,13 @@ KINDS = {
         "openigtlink-rust",
         program,
         (*SEVEN, "SENSOR", "POINT", "TDATA"),
-        ("TRANSFORM", "POSITION", "STRING", "STATUS", "IMAGE", "SENSOR", "POINT", "TDATA"),
+        ("TRANSFORM", "POSITION", "STRING", "STATUS", "SENSOR", "POINT"),
+        options=("--profile", "openigtlink-rust"),
         faults={
-            (
-                "IMAGE",
-                "*",
-                TO_ROS,
-            ): "it lacks the fields of the sub-volume, and has the matrix by rows: refused, with its name; its fault",
-            ("IMAGE", "*", TO_IGTL): "it takes the fields of the sub-volume for pixels, and refuses it: its fault",
+            ("IMAGE", "*", TO_ROS): "it lacks the fields of the sub-volume, and has the matrix by rows: refused, with "
+            "its name; its fault",
             ("TDATA", "*", TO_ROS): "matrices by rows are left out: its fault",
-            ("TDATA", "*", TO_IGTL): "it reads matrices by rows: its fault",
             ("CAPABILITY", "*", TO_ROS): "a count, and names that end with NUL: refused, with its name; its fault",
-            ("STATUS", "*", TO_IGTL): "it takes a code of 12 or more for an extended header: its fault",
         },
     ),
     "matlab": Kind(

@@ -325,7 +325,7 @@ def test_slicer_gets_pixels_and_axes_that_it_reads() -> None:
     assert image.array.reshape(-1).tolist() == [1.0, 2.0, 3.0, float(1 << 24)]
 
 
-OTHERS = {"brainlab", "holoscan", "legacy-v1", "openigtlink4j"}
+OTHERS = {"brainlab", "holoscan", "legacy-v1", "openigtlink4j", "openigtlink-rust"}
 
 
 def test_profiles_have_a_source_for_each_fact() -> None:

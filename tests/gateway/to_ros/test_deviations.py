@@ -8,7 +8,9 @@ from igtl_gateway.base.buffers import join
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.config.configuration import Config, PeerRow, ToIgtlRow
 from igtl_gateway.convert.common_msgs import PoseStamped
-from igtl_gateway.convert.rosmsg import Header, TransformStamped
+from igtl_gateway.convert.igtl_msgs import TrackedTool, TrackingData
+from igtl_gateway.convert.rosmsg import Header as RosHeader
+from igtl_gateway.convert.rosmsg import TransformStamped
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.gateway.session import Session, make_core
@@ -156,8 +158,19 @@ def test_its_interval_shows_openigtlink4j(message: Message, shows: bool) -> None
 
 def test_it_gets_a_transform_in_place_of_a_position_which_ends_its_reader() -> None:
     made = script(replace(NAMED, to_igtl=(ToIgtlRow(topic="/pose", device="Tool", type="POSITION"),)))
-    lines = made.ros("/pose", PoseStamped(Header(T0_NS, "base"), (0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0)))
+    lines = made.ros("/pose", PoseStamped(RosHeader(T0_NS, "base"), (0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0)))
     assert "igtl TRANSFORM/Tool v1 to 1" in lines and not any("POSITION" in line for line in lines)
+
+
+def test_openigtlink_rust_gets_an_extended_header_and_no_matrix_by_columns_in_a_list() -> None:
+    config = replace(LIVE, peers=(PeerRow("127.0.0.1:5", "openigtlink-rust"),))
+    made = script(config)
+    made.igtl(BARE)
+    assert made.igtl(Message("GET_STATUS", "", EmptyQuery()))[-1] == "igtl STATUS/ v2 to 1"
+    tools = TrackingData(RosHeader(T0_NS, "base"), (TrackedTool("Tip", 2, (0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0)),))
+    lines = made.ros("/igtl/out/Tools", tools)
+    assert "igtl TRANSFORM/Tip v2 to 1" in lines and not any("TDATA" in line for line in lines)
+    assert verify(made.log, config).good
 
 
 def test_a_replay_at_another_time_moves_the_stamp_that_was_meant() -> None:
