@@ -107,7 +107,8 @@ RULES: tuple[Rule, ...] = (
     ),
     Rule(
         "IGTL-E108", "a peer was refused", f"{DOCTOR}: Roles",
-        "add the peer's network to `--allow`, or raise the limit that it has reached", checks.refused,
+        "allow its network (`--allow`) or the origin of its page (`--allow-origin`), or raise the limit it has reached",
+        checks.refused,
     ),
     Rule(
         "IGTL-E105", "no client connects", f"{DOCTOR}: Roles",

@@ -10,6 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from websockets.sync.client import connect
+from websockets.typing import Origin
 
 from igtl_gateway.app.bridge import Bridge
 from igtl_gateway.app.bridge_options import BridgeOptions
@@ -20,6 +22,7 @@ from igtl_gateway.base.buffers import join
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import RecordingError, Unavailable
 from igtl_gateway.config.configuration import Config, ToIgtlRow
+from igtl_gateway.config.notations import listen_address
 from igtl_gateway.convert.rosmsg import Header, Image
 from igtl_gateway.edges.tcp import PeerLimits
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -32,6 +35,7 @@ from igtl_gateway.replay.verify import DeclaredLosses, verify
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.image import Image as WireImage
 from igtl_gateway.wire.text import String
+from tests.integration.bridge import message
 from tests.places import FIXTURES
 from tests.record.notes import TimelessNotes
 
@@ -58,6 +62,26 @@ def test_a_recording_that_exists_is_refused_and_the_port_is_free_again(tmp_path:
         bridge.start()
     socket.create_server(bridge.addresses[0]).close()
     assert recording.read_bytes() == b"yesterday"
+
+
+def test_a_websocket_peer_is_recorded_as_one_and_verifies(tmp_path: Path) -> None:
+    options = BridgeOptions((listen_address("ws://127.0.0.1:0"),), ros=False, record=tmp_path / "out.mcap")
+    bridge = Bridge(Config(), options, SystemClock())
+    bridge.start()
+    try:
+        with connect("ws://{}:{}".format(*bridge.addresses[0]), origin=Origin("http://localhost")) as peer:
+            peer.send(HELLO)
+            peer.send(message("GET_STATUS", b"", device="Asked"))
+            answer = peer.recv()
+            assert isinstance(answer, bytes) and answer[2:8] == b"STATUS"
+    finally:
+        bridge.stop()
+    with SessionFile.open(options.record or Path()) as recording:
+        links = [Note.unpack(entry.data()) for entry in recording.entries() if entry.kind is Kind.LINK]
+        assert [note.data.get("transport") for note in links] == ["websocket", None]
+        assert links[0].data["origin"] == "http://localhost"
+        losses = DeclaredLosses.of(recording.session, recording.ledger)
+        assert verify(recording.entries(), Config(), losses).good
 
 
 class _Noted:

@@ -16,7 +16,7 @@ from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli import bridge, bridge_output
 from igtl_gateway.cli.settings import settled
 from igtl_gateway.config.configuration import Config
-from igtl_gateway.config.notations import peer_address
+from igtl_gateway.config.notations import listen_address, peer_address
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.reports import RecordingSummary
@@ -31,14 +31,15 @@ def parsed(*words: str) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("words", "listen", "connect"),
     [
-        ([], "b", "d"),
-        (["--tls"], "ab", "cd"),
-        (["--tls-cert", "a.pem"], "ab", "d"),  # never in the clear by mistake
-        (["--tls-ca", "ca.pem"], "b", "d"),
+        ([], "bw", "d"),
+        (["--tls"], "abw", "cd"),
+        (["--tls-cert", "a.pem"], "abw", "d"),  # never in the clear by mistake
+        (["--tls-ca", "ca.pem"], "bw", "d"),
     ],
 )
 def test_where_tls_is_spoken(words: list[str], listen: str, connect: str) -> None:
     ours = {"a": peer_address(":1"), "b": peer_address("tls://:2"), "-": peer_address("tcp://:3")}
+    ours |= {"w": listen_address("wss://:7"), "+": listen_address("ws://:8")}
     servers = {"c": peer_address(":4"), "d": peer_address("tls://:5"), "-": peer_address("tcp://:6")}
     found = bridge_options.secured(parsed(*words), tuple(ours.values()), tuple(servers.values()))
     assert found == (frozenset(ours[name] for name in listen), frozenset(servers[name] for name in connect))
