@@ -335,6 +335,26 @@ def test_poses_to_ros_pass_natively(monkeypatch: pytest.MonkeyPatch, tmp_path: P
     assert Counter(cdr for _, cdr in here.middleware.published) == Counter(recorded)
 
 
+def test_poses_with_milliseconds_in_their_stamps_pass_in_python(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path, seconds = tmp_path / "session.mcap", time.time_ns() // NS_PER_S
+    config = Config(profile="openigtlink4j").watched()
+    with scene(monkeypatch, config, path) as here:
+        peer = here.connect()
+        for number in range(100):
+            data = bytearray(transform(number))
+            data[34:42] = (seconds << 32 | number * 9).to_bytes(8, "big")
+            peer.send(bytes(data))
+        wait_for(lambda: here.received("igtl_in") == 100)
+        link = here.bridge.tcp.native_link(1)
+        assert not (link and link.received_messages)
+        published = [cdr for topic, cdr in here.middleware.published if topic.endswith("/transform")]
+    stamps = [TransformStamped.unpack(cdr).header.stamp_ns - seconds * NS_PER_S for cdr in published]
+    assert stamps == [number * 9 * NS_PER_MS for number in range(100)]
+    check_recording(path, config, here.bridge.losses)
+
+
 def test_poses_to_igtl_pass_natively_to_all_peers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     path = tmp_path / "session.mcap"
     with scene(monkeypatch, path=path) as here:
