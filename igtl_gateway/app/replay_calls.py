@@ -43,6 +43,8 @@ from igtl_gateway.replay.recorded_calls import (
 #: Longest wait for what is under way at the end of a replay.
 _LINGER_S = 5.0
 _LOOK_S = 0.01
+#: Interval of the checks whether the replay was stopped meanwhile.
+_STOP_S = 0.1
 _QOS = {"feedback": Qos(10), "status": Qos(1, latched=True)}
 _STATUS_TYPE, _CANCEL_TYPE = "action_msgs/msg/GoalStatusArray", "action_msgs/srv/CancelGoal"
 _UNRECORDED = "requests that the recording has no answer to"
@@ -192,7 +194,7 @@ class AnsweredCalls:
         until_ns = self._now_ns() + round(_LINGER_S * NS_PER_S)
         with self._changed:
             while not stop.is_set() and (due_ns := self._due_ns()) is not None and due_ns <= until_ns:
-                self._changed.wait(max(0, due_ns - self._now_ns()) / NS_PER_S + _LOOK_S)
+                self._changed.wait(min(max(0, due_ns - self._now_ns()) / NS_PER_S + _LOOK_S, _STOP_S))
             self._is_closed = True
             self._changed.notify_all()
 

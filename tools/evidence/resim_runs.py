@@ -160,6 +160,7 @@ def rows() -> list[Row]:
             Row("action, several threads", texts(12), named("fibonacci server", "fibonacci client")),
             Row("action, one thread", texts(12), named("fibonacci server single", "fibonacci client single")),
             Row("action that only the recording has", goals, named("fibonacci client"), ResimOptions(lead_ns=10**9)),
+            Row("action that only the recording asks", goals, named("fibonacci server"), ResimOptions(lead_ns=10**9)),
             Row("C on rcl", texts(400), in_c),
         ]
         as_they_are = ResimOptions(lead_ns=1_000_000_000, clocks=Clocks.SESSION)
