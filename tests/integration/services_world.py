@@ -1,8 +1,8 @@
 """A service with introspection, an action and their clients in one foreign node: four calls, and three goals.
 
 They begin when all of their topics have as many readers as the argument states (default: 1).  The events of the
-services of the action are sent by hand: rclpy of Jazzy has no introspection of actions.  Printed: order and status of
-each goal.
+services of the action are those of its client.  rclpy of Jazzy has no introspection of actions: there, they are sent by
+hand.  Printed: order and status of each goal.
 """
 
 import sys
@@ -61,8 +61,15 @@ for each in (service, caller):
 accept = lambda _: CancelResponse.ACCEPT  # noqa: E731
 server = ActionServer(node, Fibonacci, "/fib", work, cancel_callback=accept, callback_group=group)
 client = ActionClient(node, Fibonacci, "/fib", callback_group=group)
+introspection = getattr(client, "configure_introspection", None)
+if introspection:
+    introspection(node.get_clock(), qos_profile_system_default, ServiceIntrospectionState.CONTENTS)
 kinds = {"send_goal": Fibonacci.Impl.SendGoalService.Event, "get_result": Fibonacci.Impl.GetResultService.Event}
-events = {each: node.create_publisher(kind, f"/fib/_action/{each}/_service_event", 10) for each, kind in kinds.items()}
+events = {
+    each: node.create_publisher(kind, f"/fib/_action/{each}/_service_event", 10)
+    for each, kind in kinds.items()
+    if not introspection
+}
 
 
 def tell(each: str, number: int, request: Any, response: Any) -> None:
@@ -70,7 +77,8 @@ def tell(each: str, number: int, request: Any, response: Any) -> None:
     for sent, content in ((0, {"request": [request]}), (3, {"response": [response]})):
         event = kinds[each](**content)
         event.info.event_type, event.info.sequence_number = sent, number
-        events[each].publish(event)
+        if each in events:
+            events[each].publish(event)
 
 
 executor = MultiThreadedExecutor(4)

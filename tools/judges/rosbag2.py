@@ -7,7 +7,8 @@ docs/evidence/real-programs/rosbag2.jsonl; exit code 1 if anything differs.
 Strategy: the messages are those of ``ros_types``.  Three records of the same traffic are compared topic by topic, each
 byte: rosbag2's, what the gateway imports of it, and the gateway's own.  Then rosbag2 plays the inputs of the gateway's
 own recording to another bridge, whose recording must have the same inputs and the same outputs.  The same is done with
-a service and an action of rclpy; what two nodes send at once may have another order there.
+a service and an action of rclpy; what two nodes send at once may have another order there.  Last, rosbag2 sends the
+requests of its own bag, which the gateway has imported and exported, to a service and an action.
 """
 
 from __future__ import annotations
@@ -21,10 +22,12 @@ import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from importlib import metadata
 from pathlib import Path
 
 from mcap.reader import make_reader
+from rclpy.action import ActionClient
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
@@ -40,13 +43,19 @@ from tools.judges.results import BOTH, EXACT, FAILS, TO_IGTL, Row
 Messages = dict[str, list[bytes]]
 #: What the gateway does not record: logs and parameters of each node, and what it publishes of itself.
 NOT_OURS = ("/rosout", "/parameter_events", "/events/write_split", "/diagnostics")
-#: Events of services; feedback and states of actions, which are hidden topics.
-EXCHANGES = ("record.all_services:=true", "record.include_hidden_topics:=true")
-#: A service and an action of rclpy.
-WORLD = ROOT / "tests/integration/services_world.py"
+#: Events of services; feedback and states of actions, which are hidden topics.  Jazzy does not know the second.
+EXCHANGES = ("record.all_services:=true", "record.all_actions:=true", "record.include_hidden_topics:=true")
+#: A service and an action of rclpy: with clients, and without.
+WORLD, SERVER = ROOT / "tests/integration/services_world.py", cpp.PROGRAMS / "exchange_server.py"
 #: For the discovery of the player's topics, and for the last message.
 DELAY_S, AFTER_S = 5, 3
 PLAYED = ("storage.storage_id:=mcap", f"play.delay.sec:={DELAY_S}", "play.disable_keyboard_controls:=true")
+#: It sends the requests that clients sent.
+AS_CLIENT = (
+    "play.publish_service_request:=true",
+    "play.send_actions_as_client:=true",
+    "play.service_requests_source:=CLIENT_INTROSPECTION",
+)
 #: Where a message of OpenIGTLink has its stamp, and the first half of it that the tables of ``ros_types`` ask for.
 STAMP, SECONDS = slice(34, 42), struct.pack(">I", SEC)
 
@@ -161,13 +170,17 @@ def play(folder: Path, prefixes: Sequence[Path]) -> list[Row]:
 def exchanges(folder: Path, prefixes: Sequence[Path]) -> list[Row]:
     """A service and an action, recorded by both; the gateway's recording, exported, played to another bridge."""
     bag, session, again = folder / "calls", folder / "calls.mcap", folder / "calls-again.mcap"
-    imported, exported = folder / "calls-imported.mcap", folder / "calls-exported"
+    imported, exported, returned = (folder / f"calls-{each}" for each in ("imported.mcap", "exported", "returned"))
     with recorder(bag, prefixes, *EXCHANGES), recording_bridge(session):
         world = Program([sys.executable, str(WORLD), "2"])
         world.wait_until(lambda: "end" in world.lines, "end of the goals")
         time.sleep(AFTER_S)
         world.close()
-    for words in (("import", bag, "-o", imported), ("export", session, "--to", "rosbag2", "-o", exported)):
+    for words in (
+        ("import", bag, "-o", imported),
+        ("export", imported, "--to", "rosbag2", "-o", returned),
+        ("export", session, "--to", "rosbag2", "-o", exported),
+    ):
         command = [sys.executable, "-m", "igtl_gateway", *map(str, words)]
         subprocess.run(command, check=True, capture_output=True, timeout=10 * TIMEOUT_S)
     with recording_bridge(again):
@@ -177,9 +190,28 @@ def exchanges(folder: Path, prefixes: Sequence[Path]) -> list[Row]:
     what = "services and actions: "
     rows = compared(f"{what}recorded by rosbag2 as by the gateway", BOTH, of_exchanges(of_bag(bag)), ours)
     rows += compared(f"{what}its bag, imported", BOTH, of_exchanges(of_session(imported, Kind.ROS_IN)), ours)
+    rows += compared(f"{what}its bag, imported and exported", BOTH, of_exchanges(of_bag(returned)), ours)
     rows += compared(f"{what}exported", BOTH, of_exchanges(of_bag(exported)), ours)
     played = of_exchanges(of_session(again, Kind.ROS_IN))
-    return [*rows, *compared(f"{what}the export, played by rosbag2 to another bridge", BOTH, played, ours)]
+    rows += compared(f"{what}the export, played by rosbag2 to another bridge", BOTH, played, ours)
+    return [*rows, requests(returned, prefixes, f"{what}requests of its bag, imported and exported, sent by rosbag2")]
+
+
+def requests(bag: Path, prefixes: Sequence[Path], what: str) -> Row:
+    """rosbag2 as the client of a bag's services, and since Kilted of its actions."""
+    wanted = [f"call {data}" for data in (False, True) * 2]
+    if hasattr(ActionClient, "configure_introspection"):
+        wanted += ["goal 3", "goal 9", "goal 5", "cancel 5"]
+    server = Program([sys.executable, str(SERVER)])
+    try:
+        with program("player", prefixes, f"storage.uri:={bag}", *PLAYED, *AS_CLIENT), suppress(AssertionError):
+            server.wait_until(lambda: len(server.lines) >= len(wanted), "end of the requests")
+        time.sleep(AFTER_S)
+        found = [*server.lines]
+    finally:
+        server.close()
+    same = sorted(found) == sorted(wanted)
+    return Row(what, BOTH, EXACT if same else FAILS, len(wanted), "" if same else f"{found}, expected {wanted}")
 
 
 @contextmanager
@@ -214,11 +246,13 @@ def to_silent_peer(path: Path) -> Messages:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--prefix", type=Path, action="append", required=True, help="folder of packages (repeatable)")
-    prefixes = parser.parse_args().prefix
+    parser.add_argument("--name", default="rosbag2", help="of the file with the results (default: %(default)s)")
+    options = parser.parse_args()
+    prefixes = options.prefix
     with tempfile.TemporaryDirectory() as name:
         rows = [*record(Path(name), prefixes), *play(Path(name), prefixes), *exchanges(Path(name), prefixes)]
-    version = cpp.version_of("rosbag2_transport", prefixes)
-    return results.write("rosbag2", "rosbag2", version, "recorder and player", rows)
+    program, version = f"rosbag2 with rclpy {metadata.version('rclpy')}", cpp.version_of("rosbag2_transport", prefixes)
+    return results.write(options.name, program, version, "recorder and player", rows)
 
 
 if __name__ == "__main__":
