@@ -179,6 +179,7 @@ LONG = (
     "addons/resim/test_bisect.py::TestWithRos::test_commits_that_do_not_build_before_it",
     "addons/resim/test_page.py::test_the_output_is_real",
     "edges/ros_interfaces/test_compiling.py::test_the_compilation_of_a_killed_program_ends_and_leaves_nothing",
+    "integration/test_late_joiners.py::test_what_is_lost_below_the_edge_is_counted",
     *LONG_FILES,
     *(f"integration/test_columns.py::test_no_line_is_wider_than_the_terminal[{columns}]" for columns in (60, 120)),
     *(f"addons/review/test_assess.py::test_the_{name}" for name in ("planted_", "distances_", "noise_")),

@@ -128,3 +128,33 @@ def test_who_reads_late_gets_the_newest_of_a_burst(size: int, peer: Peer, edge: 
     for topic in topics.values():
         assert peer.ready(topic) and peer.ready(topic)
         assert taken(peer, topic, kind) == newest(kind, size)
+
+
+def test_what_is_lost_below_the_edge_is_counted(peer: Peer, edge: RosEdge, heard: Heard) -> None:  # noqa: F811
+    """Best effort drops images that the shared memory has no room for: the numbers of the others show how many.
+
+    From the first one on that has come: whoever joins late cannot know what was before.
+    """
+    topic, kind, large = "/below", "sensor_msgs/msg/CompressedImage", 40
+    heard.wanted[topic] = Qos(depth=100)
+    peer.publisher(topic, kind, {"depth": 100, "reliable": False})
+    assert peer.readers(topic, 1) and heard.until(lambda: "ros_subscribed" in heard.codes(topic))
+
+    def send_small() -> int:
+        """Send small ones until one has come; return how many."""
+        sent, before = 0, sum(len(cdr) < SIZES[0] for cdr in heard.of(topic))
+        while sum(len(cdr) < SIZES[0] for cdr in heard.of(topic)) == before:
+            peer.publish(topic, {"data": [7]})
+            sent += 1
+            with heard.changed:
+                heard.changed.wait(0.2)
+        return sent
+
+    send_small()
+    first = heard.count(topic)
+    peer.publish_many(topic, {"data": [7] * 600_000}, "format", large)
+    sent = large + send_small()
+    edge.sync()
+    counts = edge.counters()[topic]
+    assert counts["received"] == heard.count(topic)
+    assert counts["received"] - first + counts["lost"] == sent

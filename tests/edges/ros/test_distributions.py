@@ -13,9 +13,11 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.edges.ros.distributions import CountedMatches, Matched, node_options
+from igtl_gateway.edges.ros import distributions
+from igtl_gateway.edges.ros.distributions import EVENT_MODULES, CountedMatches, Matched, node_options
 from tests.edges.ros import humble
 from tests.integration.bridge import Bridge, RawPeer, RosClient, environment, gateway, message
+from tests.tables import table
 
 HUMBLE = (sys.executable, str(Path(humble.__file__)))
 POSE, STAMPED = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped"
@@ -98,3 +100,13 @@ def test_a_node_gets_no_argument_that_it_does_not_have() -> None:
 
     assert node_options(SimpleNamespace(node=SimpleNamespace(Node=Old))) == {}
     assert node_options(SimpleNamespace(node=SimpleNamespace(Node=New))) == {"enable_logger_service": True}
+
+
+@table(
+    ("modules", "used"),
+    [(("qos_event",), "qos_event"), (EVENT_MODULES, "event_handler"), (("event_handler",), "event_handler")],
+)
+def test_events_are_those_of_the_module_that_is_there(modules: tuple[str, ...], used: str) -> None:
+    """Humble has one name, Jazzy and Kilted have both, Lyrical has the newer one."""
+    rclpy = SimpleNamespace(**{name: name for name in modules})
+    assert distributions._event_module(rclpy) == used
