@@ -61,7 +61,9 @@ def tried(python: str, what: str, files: tuple[str, ...]) -> Row:
         report = Path(folder) / "report.xml"
         paths = [str(ROOT / "tests" / name) for name in files]
         command = [python, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"--junit-xml={report}", *paths]
-        subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL, check=False)
+        code = subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL, check=False).returncode
+        if not report.is_file():  # a test that hangs ends all of them
+            return Row(what, BOTH, FAILS, 1, f"the tests ended with code {code}, and without a report")
         cases = list(ElementTree.parse(report).getroot().iter("testcase"))
     ended = {
         state: [case for case in cases if case.find(state) is not None] for state in ("failure", "error", "skipped")
