@@ -4,8 +4,9 @@
 igtl-gateway needs, and with pytest, pytest-xdist and hypothesis.  Writes docs/evidence/real-programs/NAME.jsonl; exit
 code 1 if a test fails.
 
-Strategy: the tests are those of the gate, of this work tree, in a process for each row, without the second try that the
-gate gives them.
+Strategy: the tests are those of the gate, of this work tree, in a process for each row.  Nodes that begin at one moment
+in one process do not always find each other with Fast DDS (1 to 3 of 40 pairs here, of plain rclpy), so a row has a
+second run, as in the gate.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -56,14 +58,22 @@ VERSIONS = (
 
 
 def tried(python: str, what: str, files: tuple[str, ...]) -> Row:
-    """Run the tests of a row."""
+    """Run the tests of a row; a second time, and that is said, if one fails, as the gate does."""
+    first = _run(python, what, files)
+    if first.result == EXACT:
+        return first
+    second = _run(python, what, files)
+    return replace(second, text=second.text or f"in the second run; in the first one {first.text}")
+
+
+def _run(python: str, what: str, files: tuple[str, ...]) -> Row:
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.xml"
         paths = [str(ROOT / "tests" / name) for name in files]
         command = [python, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"--junit-xml={report}", *paths]
-        code = subprocess.run(command, cwd=ROOT, stdout=subprocess.DEVNULL, check=False).returncode
+        code = subprocess.run(command, cwd=ROOT, capture_output=True, check=False).returncode
         if not report.is_file():  # a test that hangs ends all of them
-            return Row(what, BOTH, FAILS, 1, f"the tests ended with code {code}, and without a report")
+            return Row(what, BOTH, FAILS, 1, f"a test hung, and ended the others (exit code {code})")
         cases = list(ElementTree.parse(report).getroot().iter("testcase"))
     ended = {
         state: [case for case in cases if case.find(state) is not None] for state in ("failure", "error", "skipped")
@@ -71,7 +81,7 @@ def tried(python: str, what: str, files: tuple[str, ...]) -> Row:
     bad = [str(case.get("name")) for case in (*ended["failure"], *ended["error"])]
     passed = len(cases) - len(bad) - len(ended["skipped"])
     assert passed or bad, f"{what}: no test ran"
-    return Row(what, BOTH, FAILS if bad else EXACT, passed, ", ".join(bad))
+    return Row(what, BOTH, FAILS if bad else EXACT, passed, f"failed: {', '.join(bad)}" if bad else "")
 
 
 def main() -> int:
