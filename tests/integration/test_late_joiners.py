@@ -133,7 +133,7 @@ def test_who_reads_late_gets_the_newest_of_a_burst(size: int, peer: Peer, edge: 
 def test_what_is_lost_below_the_edge_is_counted(peer: Peer, edge: RosEdge, heard: Heard) -> None:  # noqa: F811
     """Best effort drops images that the shared memory has no room for: the numbers of the others show how many.
 
-    From the first one on that has come: whoever joins late cannot know what was before.
+    From the first one on that has come: a late joiner cannot know what was before.
     """
     topic, kind, large = "/below", "sensor_msgs/msg/CompressedImage", 40
     heard.wanted[topic] = Qos(depth=100)

@@ -58,7 +58,7 @@ VERSIONS = (
 
 
 def tried(python: str, what: str, files: tuple[str, ...]) -> Row:
-    """Run the tests of a row; a second time, and that is said, if one fails, as the gate does."""
+    """Run the tests of a row; if one fails a second time, which the text states, as the gate does."""
     first = _run(python, what, files)
     if first.result == EXACT:
         return first
