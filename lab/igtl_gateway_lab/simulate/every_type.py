@@ -40,8 +40,8 @@ from igtl_gateway_lab.simulate.scenario import (
 START_NS = 1_767_225_600 * NS_PER_S
 _STEP_NS = 20 * NS_PER_MS
 
-#: Links: programs on old and new libraries, then those with a profile, then who comes to track, and who comes late.
-OLD, NEW, SLICER, PLUS, BRAINLAB, HOLOSCAN, TRACKER, LATE = range(1, 9)
+#: Links: programs on old and new libraries, then those with a profile, who comes to track, who comes late, who deviates.
+OLD, NEW, SLICER, PLUS, BRAINLAB, HOLOSCAN, TRACKER, LATE, DEVIATING, JAVA = range(1, 11)
 _CHOSEN = {OLD: "legacy-v1", BRAINLAB: "brainlab", HOLOSCAN: "holoscan"}
 
 
@@ -159,6 +159,7 @@ def _steps() -> Iterator[_Step]:
     yield from _commands()
     yield from _raw()
     yield from _robots()
+    yield from _deviating()
     yield from _ends()
 
 
@@ -322,9 +323,22 @@ def _robots() -> Iterator[_Step]:
         yield _Sent(NEW, igtl_type, f"As_{kind}", content, version=2)
 
 
+def _deviating() -> Iterator[_Step]:
+    """What is read although it deviates: other layouts than those of the header version, milliseconds as fractions."""
+    pose = Transform((*every_igtl.TILTED, 7.0, 8.0, 9.0))
+    yield from map(_Up, (DEVIATING, JAVA))
+    bare = join(encode(Message("TRANSFORM", "Bare", pose, ns_to_ticks(START_NS))))
+    version_3 = join(encode(Message("TRANSFORM", "Next", pose, ns_to_ticks(START_NS), 2, 0, every_igtl.METADATA)))
+    for data, version in ((bare, 2), (version_3, 3)):
+        yield _Sent(DEVIATING, "", "", Raw(b""), data=version.to_bytes(2, "big") + data[2:])
+    yield _Sent(JAVA, "STT_TDATA", "", StartTracking(50, is_long=True))
+    java = join(encode(Message("TRANSFORM", "Java", pose, START_NS // NS_PER_S << 32 | 250)))
+    yield _Sent(JAVA, "", "", Raw(b""), data=java)
+
+
 def _ends() -> Iterator[_Step]:
     """A silent peer is pinged; a late joiner gets the latched messages; all peers disconnect."""
     yield _Tick(0.3)
     yield _Sent(PLUS, "STATUS", "", Status(1), version=2)
     yield _Up(LATE)
-    yield from map(_Down, (OLD, NEW, SLICER, PLUS, HOLOSCAN, TRACKER, LATE))
+    yield from map(_Down, (OLD, NEW, SLICER, PLUS, HOLOSCAN, TRACKER, LATE, DEVIATING, JAVA))
