@@ -42,7 +42,7 @@ _STEP_NS = 20 * NS_PER_MS
 
 #: Links: programs on old and new libraries, then those with a profile, who comes to track, who comes late, who deviates.
 OLD, NEW, SLICER, PLUS, BRAINLAB, HOLOSCAN, TRACKER, LATE, DEVIATING, JAVA = range(1, 11)
-_CHOSEN = {OLD: "legacy-v1", BRAINLAB: "brainlab", HOLOSCAN: "holoscan"}
+_CHOSEN = {OLD: "legacy-v1", BRAINLAB: "brainlab", HOLOSCAN: "holoscan", DEVIATING: "openigtlink-rust"}
 
 
 def _address(link: int) -> str:
