@@ -158,6 +158,8 @@ def decode(data: Buffer, *, check_crc: bool = True, reading: int = 0) -> Message
         raise explained(error, header, body, _content(header, body)) from None
 
 
+#: How an extended header begins: with its own size.
+_OWN_SIZE = struct.pack(">H", 12)
 #: What some programs write for protocol version 3.
 _NEXT_VERSION = 3
 
@@ -169,11 +171,11 @@ def _unknown_version(header: Header, body: memoryview) -> WireError:
 def _bare(header: Header, body: memoryview) -> Message | None:
     """The message of a body that is a content alone, without an extended header; None if that is not certain.
 
-    It is certain if the first bytes cannot be an extended header, and the body is, to the last byte, a content of a
-    type that has one.
+    It is certain if the first bytes cannot be an extended header, not even one with wrong sizes behind its own, and the
+    body is, to the last byte, a content of a type that has one.
     """
     codec = BODIES.get(visible(header.type))
-    if header.version == 1 or codec is None:
+    if header.version == 1 or codec is None or body[:2] == _OWN_SIZE:
         return None
     # any bytes fit a query without fields, and what is no query has a content
     if codec is EmptyQuery if body.nbytes else split_query(header.type) is None:

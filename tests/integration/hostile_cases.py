@@ -241,10 +241,12 @@ def _headers() -> Iterable[Case]:
     yield Case("wrong-crc", "A wrong CRC", damaged(good), {"bad_crc": 1}, ("bad_crc",))
     many = damaged(string("", "wrong-crcs"), 57) * 500
     yield Case("wrong-crcs", "500 messages with a wrong CRC", many, {"bad_crc": 500}, ("bad_crc",))
-    for version in (0, 3, 65535):
+    for version in (0, 4, 65535):
         name = f"version-{version}"
         data = message("STRING", text(b"x"), device=name, version=version)
         yield Case(name, f"Header version {version}", data, _REFUSED, _MALFORMED)
+    data = message("STRING", text(b"x"), device="version-3", version=3)
+    yield Case("version-3", "Header version 3, as some programs write it", data, _FINE, ("deviation_read",))
     full = raw(b"ABCDEFGHIJKL", b"names-without-a-NUL.", b"xyz")
     yield Case(
         "names-without-a-NUL.",

@@ -33,7 +33,7 @@ RIGHT_AS_IT_IS = {
     "igtl_gateway/addons/view/lag_drawing.py": 2,
     "igtl_gateway/config/faults.py": 1,
     "igtl_gateway/doctor/host_checks.py": 6,
-    "igtl_gateway/gateway": 8,
+    "igtl_gateway/gateway": 10,
     "igtl_gateway/replay/diff.py": 2,
 }
 
