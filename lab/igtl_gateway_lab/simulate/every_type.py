@@ -40,7 +40,7 @@ from igtl_gateway_lab.simulate.scenario import (
 START_NS = 1_767_225_600 * NS_PER_S
 _STEP_NS = 20 * NS_PER_MS
 
-#: Links: programs on old and new libraries, then those with a profile, who comes to track, who comes late, who deviates.
+#: Links: programs on old and new libraries, those with a profile, who comes to track, who comes late, who deviates.
 OLD, NEW, SLICER, PLUS, BRAINLAB, HOLOSCAN, TRACKER, LATE, DEVIATING, JAVA = range(1, 11)
 _CHOSEN = {OLD: "legacy-v1", BRAINLAB: "brainlab", HOLOSCAN: "holoscan", DEVIATING: "openigtlink-rust"}
 
