@@ -185,7 +185,7 @@ def test_a_sealed_recording_with_a_prologue_by_the_command_line(
 def test_the_command_line_says_what_diff_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """With names and times kept, ``diff`` names the streams of the report, and no other one.
 
-    A body without its extended header gets one: other bytes, of which the report tells, with an equal content.
+    A body without its extended header gets one: other bytes, which the report shows, with an equal content.
     """
     profile, out = tmp_path / "profile.toml", tmp_path / "clean.mcap"
     profile.write_text('[keep]\nnames = ["**"]\ntypes = ["**"]\n')
