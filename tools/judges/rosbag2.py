@@ -1,7 +1,7 @@
 """rosbag2 at the gateway: it records the graph of a bridge, and plays a recording of the bridge.
 
 ``python tools/judges/rosbag2.py --prefix DIR …``: folders with ``lib``, ``share`` and the Python modules of
-rosbag2_transport with the storage of MCAP, as an installed ROS 2 has.  Writes
+rosbag2_transport, its storages and zstd, as an installed ROS 2 has.  Writes
 docs/evidence/real-programs/rosbag2.jsonl; exit code 1 if anything differs.
 
 Strategy: the messages are those of ``ros_types``.  Three records of the same traffic are compared topic by topic, each
@@ -22,7 +22,7 @@ import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from importlib import metadata
 from pathlib import Path
 
@@ -45,6 +45,19 @@ Messages = dict[str, list[bytes]]
 NOT_OURS = ("/rosout", "/parameter_events", "/events/write_split", "/diagnostics")
 #: Events of services; feedback and states of actions, which are hidden topics.  Jazzy does not know the second.
 EXCHANGES = ("record.all_services:=true", "record.all_actions:=true", "record.include_hidden_topics:=true")
+#: Form of a bag → parameters of its recorder, which overrule those before.
+SQLITE, UNBOUNDED = "storage.storage_id:=sqlite3", "record.compression_queue_size:=0"
+ZSTD = ("record.compression_format:=zstd", UNBOUNDED, "record.compression_mode:=message")
+ZSTD_FILE = (*ZSTD[:-1], "record.compression_mode:=file")
+FORMS: dict[str, tuple[str, ...]] = {
+    "MCAP": (),
+    "MCAP, zstd_small": ("storage.storage_preset_profile:=zstd_small",),
+    "MCAP, messages compressed": ZSTD,
+    "MCAP, file compressed": ZSTD_FILE,
+    "SQLite": (SQLITE,),
+    "SQLite, messages compressed": (SQLITE, *ZSTD),
+    "SQLite, file compressed": (SQLITE, *ZSTD_FILE),
+}
 #: A service and an action of rclpy: with clients, and without.
 WORLD, SERVER = ROOT / "tests/integration/services_world.py", cpp.PROGRAMS / "exchange_server.py"
 #: For the discovery of the player's topics, and for the last message.
@@ -169,16 +182,21 @@ def play(folder: Path, prefixes: Sequence[Path]) -> list[Row]:
 
 def exchanges(folder: Path, prefixes: Sequence[Path]) -> list[Row]:
     """A service and an action, recorded by both; the gateway's recording, exported, played to another bridge."""
-    bag, session, again = folder / "calls", folder / "calls.mcap", folder / "calls-again.mcap"
-    imported, exported, returned = (folder / f"calls-{each}" for each in ("imported.mcap", "exported", "returned"))
-    with recorder(bag, prefixes, *EXCHANGES), recording_bridge(session):
-        world = Program([sys.executable, str(WORLD), "2"])
+    session, again = folder / "calls.mcap", folder / "calls-again.mcap"
+    exported, returned = folder / "calls-exported", folder / "calls-returned"
+    bags = {form: folder / f"calls-{number}" for number, form in enumerate(FORMS)}
+    imported = {form: bag.with_suffix(".mcap") for form, bag in bags.items()}
+    with ExitStack() as stack:
+        for form, bag in bags.items():
+            stack.enter_context(recorder(bag, prefixes, *EXCHANGES, *FORMS[form]))
+        stack.enter_context(recording_bridge(session))
+        world = Program([sys.executable, str(WORLD), str(len(bags) + 1)])
         world.wait_until(lambda: "end" in world.lines, "end of the goals")
         time.sleep(AFTER_S)
         world.close()
     for words in (
-        ("import", bag, "-o", imported),
-        ("export", imported, "--to", "rosbag2", "-o", returned),
+        *(("import", bag, "-o", imported[form]) for form, bag in bags.items()),
+        ("export", imported["MCAP"], "--to", "rosbag2", "-o", returned),
         ("export", session, "--to", "rosbag2", "-o", exported),
     ):
         command = [sys.executable, "-m", "igtl_gateway", *map(str, words)]
@@ -188,8 +206,10 @@ def exchanges(folder: Path, prefixes: Sequence[Path]) -> list[Row]:
             time.sleep(DELAY_S + (file.end_ns - file.start_ns) / 1e9 + AFTER_S)
     ours = of_exchanges(of_session(session, Kind.ROS_IN))
     what = "services and actions: "
-    rows = compared(f"{what}recorded by rosbag2 as by the gateway", BOTH, of_exchanges(of_bag(bag)), ours)
-    rows += compared(f"{what}its bag, imported", BOTH, of_exchanges(of_session(imported, Kind.ROS_IN)), ours)
+    rows = compared(f"{what}recorded by rosbag2 as by the gateway", BOTH, of_exchanges(of_bag(bags["MCAP"])), ours)
+    for form, path in imported.items():
+        found = of_exchanges(of_session(path, Kind.ROS_IN))
+        rows += compared(f"{what}its bag ({form}), imported", BOTH, found, ours)
     rows += compared(f"{what}its bag, imported and exported", BOTH, of_exchanges(of_bag(returned)), ours)
     rows += compared(f"{what}exported", BOTH, of_exchanges(of_bag(exported)), ours)
     played = of_exchanges(of_session(again, Kind.ROS_IN))
