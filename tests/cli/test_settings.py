@@ -61,6 +61,7 @@ WITHOUT_EFFECT = {
     "page_address": "--page-address 8944",
     "allow": "--connect :1 --allow 10.0.0.0/8",
     "max_clients": "--connect :1 --max-clients 3",
+    "allow_origin": "--allow-origin https://viewer.clinic",
     "to_igtl": "--no-ros --send /a=A",
     "tf_out": "--relay --connect :1 --tf-out a:b",
     "to_ros": "--no-ros --kinds Probe=transform",

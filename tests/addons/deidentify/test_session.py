@@ -28,6 +28,7 @@ from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.replay.recorded_marks import marks_of
 from igtl_gateway.testing.gateway import ManualGateway
 from igtl_gateway.wire import Message, Raw, decode
+from igtl_gateway.wire.header import READING
 from igtl_gateway.wire.text import Status
 from igtl_gateway.wire.transform import Transform
 from tests import marked
@@ -70,7 +71,7 @@ def test_intervals_and_geometry_stay_to_the_bit(tmp_path: Path) -> None:
     poses, times = {}, {}
     for path in (SOURCE, out):
         entries = inputs(path)
-        messages = [decode(entry.data()) for entry in entries if entry.type == "TRANSFORM"]
+        messages = [decode(entry.data(), reading=READING) for entry in entries if entry.type == "TRANSFORM"]
         contents = [message.content for message in messages]
         poses[path] = [content.pack() for content in contents if isinstance(content, Transform)]
         times[path] = np.array([message.ticks for message in messages], np.uint64)

@@ -127,7 +127,7 @@ def test_what_a_part_reported_is_stated_wherever_the_merged_session_is_read(
         script.igtl(Message("TRANSFORM", "ProbeToTracker", pose, ns_to_ticks(script.now_ns)), link)
     for _ in range(2):
         script.feed(
-            Kind.IGTL_IN, (wire.message("TRANSFORM", "Newer", wire.transform(np.eye(4)), 0, version=3),), link=1
+            Kind.IGTL_IN, (wire.message("TRANSFORM", "Newer", wire.transform(np.eye(4)), 0, version=4),), link=1
         )
     parts = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
     for number, part in enumerate(parts):
@@ -137,7 +137,7 @@ def test_what_a_part_reported_is_stated_wherever_the_merged_session_is_read(
         writer.close({})
     out = tmp_path / "both.mcap"
     assert main(["merge", *map(str, parts), "-o", str(out), "--offset", "b=0"]) == 0
-    refused = "TRANSFORM/Newer, 2 times: message refused: header, version: found 3"
+    refused = "TRANSFORM/Newer, 2 times: message refused: header, version: found 4"
     shared = "share one topic and one frame, /a/igtl/in/ProbeToTracker/transform"
     assert f"reported by a: {refused}" in capsys.readouterr().out
     for words in (["info", str(out)], ["export", str(out), "--to", "parquet", "-o", str(tmp_path / "tables")]):
