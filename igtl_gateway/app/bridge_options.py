@@ -218,6 +218,8 @@ def addresses(
         tuple(reads(place) if isinstance(place, str) else place for place in places)
         for reads, places in ((listen_address, listening), (peer_address, servers))
     )
+    if twice := next((place for place in listen if place[1] and listen.count(place) > 1), None):
+        raise ConfigError(f"--listen: found {twice[0]}:{twice[1]} twice, expected each port once")
     return listen if listen or connect else ((DEFAULT_HOST, DEFAULT_PORT),), connect
 
 
@@ -255,7 +257,7 @@ def tls(values: Mapping[str, Any]) -> TlsFiles:
 def secured(
     values: Mapping[str, Any], listen: Sequence[tuple[str, int]], connect: Sequence[tuple[str, int]]
 ) -> tuple[frozenset[tuple[str, int]], frozenset[tuple[str, int]]]:
-    """Return the addresses with TLS: (listening, servers).  Raises ConfigError for files without such an address.
+    """Return the addresses with TLS: (listening, servers).  Raises ConfigError for files or ``--tls`` without one.
 
     A certificate turns TLS on for all listening addresses except those with ``tcp://`` or ``ws://``: a user who gives
     one must not discover later that the traffic was not encrypted.
@@ -264,6 +266,8 @@ def secured(
     servers = _with_tls(connect, values["tls"])
     if tls(values) != _NEVER and not ours and not servers:
         raise ConfigError("--tls-ca, --tls-cert: found no address with TLS, expected --tls or tls://HOST:PORT")
+    if values["tls"] and (listen or connect) and not ours and not servers:
+        raise ConfigError("--tls: found only addresses with tcp:// or ws://, expected one with TLS")
     return ours, servers
 
 

@@ -197,7 +197,7 @@ class TextOutput:
     def events(self, events: list[Event]) -> None:
         for event in events:
             note, links = event.note, event.links
-            cause = (note.code, note.stream)
+            cause = (note.code, note.subject)
             if cause not in self._repeats and len(self._repeats) >= _MAX_CAUSES:
                 cause = (note.code, "(other streams)")
             is_first = cause not in self._repeats

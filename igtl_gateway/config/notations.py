@@ -105,7 +105,7 @@ def _with_scheme(text: str, *schemes: str) -> PeerAddress:
     scheme, found, rest = text.partition("://")
     if found and scheme not in schemes:
         if scheme in _SCHEMES:
-            raise ConfigError(f"found {text!r}, expected {scheme}:// only where peers connect: --listen")
+            raise ConfigError(f"found {text!r}, expected no {scheme}://: only --listen of bridge and replay takes it")
         places = ", ".join(f"{each}://HOST:PORT" for each in schemes)
         raise ConfigError(f"found {text!r}, expected {places} or HOST:PORT")
     made = PeerAddress(address(rest if found else text))

@@ -142,8 +142,10 @@ def no_client(observed: Observer) -> Iterator[RuleMatch]:
 
 
 def refused(observed: Observer) -> Iterator[RuleMatch]:
-    if noted := observed.notes.get("refused"):
-        yield RuleMatch(str(noted.first.data.get("peer", "")), noted.first.text, {"count": noted.count})
+    for reason, noted in observed.refusals.items():
+        yield RuleMatch(
+            str(noted.first.data.get("peer", "")), noted.first.text, {"count": noted.count, "reason": reason}
+        )
 
 
 def silent(observed: Observer) -> Iterator[RuleMatch]:
@@ -222,14 +224,13 @@ def disconnects_at_version(observed: Observer) -> Iterator[RuleMatch]:
 def incomplete(observed: Observer) -> Iterator[RuleMatch]:
     for peer in observed.peers.values():
         if peer.head and is_openigtlink(peer.head) and peer.head_code != "too_large":
-            noted = observed.notes[peer.head_code]
-            yield RuleMatch(peer.name, noted.first.text, {"head": peer.head.hex()})
+            yield RuleMatch(peer.name, peer.head_text, {"head": peer.head.hex()})
 
 
 def too_large(observed: Observer) -> Iterator[RuleMatch]:
     for peer in observed.peers.values():
         if peer.head_code == "too_large" and is_openigtlink(peer.head):
-            yield RuleMatch(peer.name, observed.notes["too_large"].first.text, {"head": peer.head.hex()})
+            yield RuleMatch(peer.name, peer.head_text, {"head": peer.head.hex()})
 
 
 def slow_reader(observed: Observer) -> Iterator[RuleMatch]:
@@ -562,8 +563,8 @@ def no_messages(observed: Observer) -> Iterator[RuleMatch]:
 
 #: Codes of notes that have a rule, or whose cause a rule finds in the messages themselves.
 _COVERED = frozenset({
-    "accept_failed", "bad_crc", "connect_failed", "listen_failed", "malformed", "name_cut", "no_conversion",
-    "no_source", "queue_drop", "queue_full", "refused", "ros_incompatible_qos", "ros_refused",
+    "accept_failed", "bad_crc", "connect_failed", "deviation_read", "listen_failed", "malformed", "name_cut",
+    "no_conversion", "no_source", "queue_drop", "queue_full", "refused", "ros_incompatible_qos", "ros_refused",
     "ros_unknown_type", "stalled", "too_large", "truncated",
 })  # fmt: skip
 

@@ -181,6 +181,7 @@ class ObservedPeer:
         first_sent_ns: header version → gateway time of the first message to the peer with it, UTC.
         head: first bytes from the peer that are not a complete message.
         head_code: code of the note that reported ``head``.
+        head_text: and its text.
         is_gateway: whether the peer has replied to the probe of `doctor` as a gateway.
         is_replay: whether it has replied as a replay that waits for its peers.
     """
@@ -201,6 +202,7 @@ class ObservedPeer:
     first_sent_ns: dict[int, int] = field(default_factory=dict)
     head: bytes = b""
     head_code: str = ""
+    head_text: str = ""
     is_gateway: bool = False
     is_replay: bool = False
 

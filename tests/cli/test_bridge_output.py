@@ -48,7 +48,15 @@ def test_where_tls_is_spoken(words: list[str], listen: str, connect: str) -> Non
 def test_files_for_no_address_are_a_mistake() -> None:
     with pytest.raises(ConfigError, match="found no address with TLS"):
         bridge_options.secured(parsed("--tls-ca", "ca.pem"), (), (peer_address(":1"),))
+    with pytest.raises(ConfigError, match="--tls: found only addresses with tcp:// or ws://"):
+        bridge_options.secured(parsed("--tls"), (listen_address("ws://:1"), peer_address("tcp://:2")), ())
     assert bridge_options.tls(parsed("--tls-key", "k")) == TlsFiles(None, Path("k"), None)
+
+
+def test_an_address_that_is_given_twice_is_no_other_program() -> None:
+    with pytest.raises(ConfigError, match=r"--listen: found 127\.0\.0\.1:1 twice, expected each port once"):
+        bridge_options.addresses((":1", "ws://:1"), ())
+    assert len(bridge_options.addresses((":0", "ws://:0"), ())[0]) == 2
 
 
 def test_limits() -> None:
@@ -119,8 +127,19 @@ def test_the_end_repeats_the_words_of_faults_and_no_codes(capsys: pytest.Capture
         "= P2 takes the slower way",
         "= P2 takes the fast way",
     ]
+    for reason in ("A", "B", "B"):
+        note(Level.WARN, "refused", f"refused: {reason}", "", reason=reason)
+        note(Level.WARN, "connect_failed", f"no server at {reason}", "", peer=reason, reason="timed out")
+    assert [line for line in capsys.readouterr().out.splitlines() if "refused" in line or "server" in line] == [
+        "? refused: A",
+        "? no server at A",
+        "? refused: B",
+        "? no server at B",
+    ]
     output.stopped(bridge, SimpleNamespace(counts=Counter(), refused=0))
     assert [line for line in capsys.readouterr().out.splitlines() if "times" in line] == [
         "  2 times: P2 is stale: messages are 2 s old",
         "  2 times: P10 is stale: messages are 2 s old",
+        "  2 times: no server at B",
+        "  2 times: refused: B",
     ]

@@ -52,7 +52,7 @@ def test_what_is_read(read: Callable[[str], object], text: str, value: object) -
     [
         (notations.address, ("a:70000", "a:b", ":-1"), "HOST:PORT with a port from 0 to 65535"),
         (peer_address, ("http://a:1",), "tls://HOST:PORT, tcp://HOST:PORT or HOST:PORT"),
-        (peer_address, ("ws://a:1",), "ws:// only where peers connect: --listen"),
+        (peer_address, ("ws://a:1",), "no ws://: only --listen of bridge and replay takes it"),
         (
             notations.listen_address,
             ("http://a:1",),

@@ -296,13 +296,27 @@ def test_what_deviates_and_is_read_is_a_warning_and_an_error_where_it_was_refuse
     plain = join(encode(Message("TRANSFORM", "Probe", pose(), ns_to_ticks(T0_NS))))
     for version, code in ((2, "E202"), (3, "E201")):
         data = bytes([0, version]) + plain[2:]
-        assert scene().add(Kind.IGTL_IN, data, source_ns=T0_NS).found == ["W209"]
+        assert scene().note("deviation_read", 1).add(Kind.IGTL_IN, data, source_ns=T0_NS).found == ["W209"]
         assert code in scene(reading=0).add(Kind.IGTL_IN, data).found
     texts = {finding.rule.id: finding.match.text for finding in judge(scene().add(Kind.IGTL_IN, data).observed)}
     assert (
         texts["IGTL-W209"].startswith("1 message with no extended header")
         and "openigtlink-rust 0.4.1" in texts["IGTL-W209"]
     )
+
+
+def test_each_reason_of_refusals_and_the_own_note_of_each_peer() -> None:
+    made = Scene(SERVER)
+    for reason in ("not in the allow-list", "page of a foreign origin", "page of a foreign origin"):
+        made.note("refused", peer=PEER, reason=reason)
+    for link in (1, 2):
+        text, head = f"end of {link}", "0001" + b"IMAGE".hex()
+        made.up(link=link).add(Kind.EDGE_NOTE, Note(Level.WARN, "truncated", text, "", {"head": head}).pack(), link)
+    found = [(finding.rule.id, finding.match.text, finding.match.data) for finding in judge(made.observed)]
+    refusals = [data for rule, _, data in found if rule == "IGTL-E108"]
+    assert [one["reason"] for one in refusals] == ["not in the allow-list", "page of a foreign origin"]
+    assert [one["count"] for one in refusals] == [1, 2]
+    assert [text for rule, text, _ in found if rule == "IGTL-W109"] == ["end of 1", "end of 2"]
 
 
 def test_milliseconds_that_the_session_has_read_are_said_to_be() -> None:

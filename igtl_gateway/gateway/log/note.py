@@ -12,6 +12,8 @@ from typing import Any
 LINK_UP, LINK_DOWN = "link_up", "link_down"
 #: Reason, in the data of its note, of a link that ends because the bridge does.
 STOPPED = "stopped"
+#: Code of notes without a stream → the fact by which they differ.
+_SUBJECTS = {"refused": "reason", "connect_failed": "peer"}
 
 
 class Level(IntEnum):
@@ -39,6 +41,11 @@ class Note:
     text: str
     stream: str = ""
     data: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def subject(self) -> str:
+        """What distinguishes it from others of its code: its stream, or a fact, as a server that cannot be reached."""
+        return self.stream or str(self.data.get(_SUBJECTS.get(self.code, ""), ""))
 
     def pack(self) -> bytes:
         """As JSON with sorted keys: the payload of a note entry."""
