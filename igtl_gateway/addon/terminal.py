@@ -9,12 +9,12 @@ from igtl_gateway.addon.loading import Homes, at_first_use
 if TYPE_CHECKING:
     from igtl_gateway.base.natural import natural as natural
     from igtl_gateway.base.quantities import by_count as by_count
+    from igtl_gateway.base.quantities import clock_text as clock_text
     from igtl_gateway.base.quantities import count_text as count_text
     from igtl_gateway.base.quantities import counted as counted
     from igtl_gateway.base.quantities import duration_text as duration_text
     from igtl_gateway.base.quantities import few_text as few_text
     from igtl_gateway.base.quantities import moment_text as moment_text
-    from igtl_gateway.base.quantities import offset_text as offset_text
     from igtl_gateway.base.quantities import rate_text as rate_text
     from igtl_gateway.base.quantities import seconds_text as seconds_text
     from igtl_gateway.base.quantities import size_text as size_text
@@ -73,7 +73,7 @@ HOMES: Homes = (
     ("base.natural", "natural"),
     (
         "base.quantities",
-        "by_count count_text counted duration_text few_text moment_text offset_text rate_text seconds_text size_text",
+        "by_count clock_text count_text counted duration_text few_text moment_text rate_text seconds_text size_text",
     ),
     ("cli.merge_output", "print_merge"),
     # What the user may run next

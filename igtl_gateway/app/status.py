@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from igtl_gateway.app.bridge import Bridge
 from igtl_gateway.base.clock import Clock
-from igtl_gateway.base.quantities import offset_text
+from igtl_gateway.base.quantities import clock_text
 from igtl_gateway.base.stamp import NS_PER_S, utc_text
 from igtl_gateway.base.version import __version__
 from igtl_gateway.gateway import Core
@@ -129,5 +129,5 @@ def clock_of(gateway: Core, link: int, now_ns: int) -> dict[str, Any] | None:
     if not bounds:
         return None
     unknown = dict.fromkeys(("high_ns", "drift_low_ppm", "drift_high_ppm", "answers", "age_s"))
-    text = f"clock ahead by ≥ {offset_text(max(bounds))}, by its stamps"
+    text = f"clock ahead by ≥ {clock_text(max(bounds))}, by its stamps"
     return {"method": "one-way", "low_ns": max(bounds), **unknown, "text": text}

@@ -1,13 +1,14 @@
 """Quantities for people: counts, durations, offsets, sizes and rates, each in the unit of its magnitude.
 
-Files and JSON have numbers in one unit; what a person reads has at most four digits.
+Files and JSON have numbers in one unit; what a person reads has at most four digits, except the
+offset of a clock: its error is stated beside it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
-from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 
 _MINUTE, _HOUR, _DAY, _YEAR = 60, 3_600, 86_400, 365.25 * 86_400
 #: An age of a message above this is no latency: the stamp is of another session, or of another kind of clock.
@@ -17,6 +18,8 @@ _MOST_HOURS, _MOST_DAYS = 48 * _HOUR, 730 * _DAY
 #: Below a second: unit, and its nanoseconds.
 _SMALL = (("ns", 1), ("µs", 1_000), ("ms", 1_000_000))
 _KILO = 1_000
+#: Offsets of clocks from here on are in seconds.
+_LONG_NS = 10 * NS_PER_S
 
 
 def count_text(number: int, thing: str, things: str = "") -> str:
@@ -83,6 +86,11 @@ def moment_text(ns: float) -> str:
 def offset_text(ns: float) -> str:
     """A duration with its sign: ``+12.3 ms``, ``-331 days``."""
     return f"{'-' if ns < 0 else '+' if ns else ''}{duration_text(ns)}"
+
+
+def clock_text(ns: float) -> str:
+    """The offset of a clock, to the microsecond however large it is: ``+12.300 ms``, ``-3,600.000124 s``."""
+    return f"{ns / NS_PER_MS:+,.3f} ms" if abs(ns) < _LONG_NS else f"{ns / NS_PER_S:+,.6f} s"
 
 
 def size_text(number: float) -> str:

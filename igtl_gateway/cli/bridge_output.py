@@ -28,6 +28,8 @@ from igtl_gateway.edges.interface import DISCOVERY_NS
 from igtl_gateway.gateway import FAULT
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.expected import NO_SOURCE
+from igtl_gateway.gateway.log.clock_offset import PEER_CLOCK_STEP, PEER_NO_CLOCK
+from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire.registry import BODIES
@@ -45,10 +47,13 @@ _MAX_CAUSES = (
 )
 
 
-#: Codes of notes that are each printed: they name a file or a source that is missing.
+#: Codes of notes that are each printed: they name a file or a source that is missing, or a clock that was set.
 _EACH = frozenset(
     {
+        CLOCK_STEP,
         NO_SOURCE,
+        PEER_CLOCK_STEP,
+        PEER_NO_CLOCK,
         "record_failed",
         "record_continued",
         "record_part_lost",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from igtl_gateway.base.quantities import duration_text, offset_text
+from igtl_gateway.base.quantities import clock_text, duration_text
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.cli.terminal import aligned, print_line
 from igtl_gateway.record.sessionfile.merged import Method
@@ -21,8 +21,8 @@ def print_merge(facts: Mapping[str, Any]) -> None:
                 part["name"],
                 part["file"],
                 f"{part['messages']:,}",
-                _ms(clock["offset_s"]),
-                f"{_ms(clock['low_s'])} and {_ms(clock['high_s'])}",
+                _offset(clock["offset_s"]),
+                f"{_offset(clock['low_s'])} and {_offset(clock['high_s'])}",
                 f"{clock['drift_ppm']:+.2f} ppm" if clock["drift_ppm"] else "",
                 _method(clock),
             )
@@ -57,8 +57,8 @@ def _method(clock: Mapping[str, Any]) -> str:
     return Method[clock["method"].upper()].value + via
 
 
-def _ms(seconds: float | None) -> str:
-    return "?" if seconds is None else offset_text(seconds * NS_PER_S)
+def _offset(seconds: float | None) -> str:
+    return "?" if seconds is None else clock_text(seconds * NS_PER_S)
 
 
 def _latency(value: float | None) -> str:

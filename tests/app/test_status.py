@@ -79,7 +79,7 @@ def test_the_clock_of_a_peer_is_known_by_its_answers_else_by_its_stamps_from_bel
         asked.gateway.advance(1)
     one_way = clock_of(core, link, asked.gateway.now_ns)
     assert one_way and (one_way["low_ns"], one_way["high_ns"]) == (3 * NS_PER_S - 4 * NS_PER_MS, None)
-    assert one_way["text"] == "clock ahead by ≥ +3 s, by its stamps"
+    assert one_way["text"] == "clock ahead by ≥ +2,996.000 ms, by its stamps"
     asked.exchange()
     two_way = clock_of(core, link, asked.gateway.now_ns)
     assert two_way and two_way.keys() == one_way.keys() and two_way["method"] == "two-way"

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from igtl_gateway.base.quantities import (
+    clock_text,
     count_text,
     duration_text,
     few_text,
@@ -60,6 +61,11 @@ def test_no_duration_has_more_than_four_digits_or_a_wrong_unit(ns: int) -> None:
     )
     assert abs(shown - ns) <= 0.06 * ns
     assert all(len(number.replace(",", "").replace(".", "")) <= 4 for number in words[::2])
+
+
+def test_the_offset_of_a_clock_has_its_microseconds() -> None:
+    found = [clock_text(ns) for ns in (3_700_005_400, -119_200, 0, -5_000_123_006_000)]
+    assert found == ["+3,700.005 ms", "-0.119 ms", "+0.000 ms", "-5,000.123006 s"]
 
 
 def test_offsets_sizes_rates_and_counts() -> None:

@@ -31,6 +31,14 @@ def test_a_device_name_writes_no_lines_and_no_escape_sequences(capsys: pytest.Ca
     assert capsys.readouterr().out == f"? {shown} is too old [link 3]\n"
 
 
+@pytest.mark.parametrize("code", ["peer_no_clock", "peer_clock_step", "clock_step"])
+def test_each_clock_that_was_set_has_a_line(code: str, capsys: pytest.CaptureFixture[str]) -> None:
+    out = TextOutput(terminal=False)
+    for text in ("the first", "another"):
+        out.events([Event(0, Kind.NOTE, Note(Level.WARN, code, text, "STATUS/igtl_clock"), ())])
+    assert capsys.readouterr().out == "? the first\n? another\n"
+
+
 def test_ticks_drive_the_gateway_and_tell_people_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     for out, lines in ((TextOutput(terminal=False), 1), (JsonOutput(ManualClock(0)), 1)):
         watch = EntryWatch(NoteRate())

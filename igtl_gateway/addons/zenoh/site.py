@@ -16,7 +16,7 @@ from typing import Any
 from igtl_gateway.addon import NS_PER_S, Clock
 from igtl_gateway.addon.reading import Level
 from igtl_gateway.addon.ros_side import Reports
-from igtl_gateway.addon.terminal import counted, duration_text, offset_text
+from igtl_gateway.addon.terminal import clock_text, counted, duration_text
 
 #: Between questions.
 ASK_NS = 2 * NS_PER_S
@@ -163,7 +163,7 @@ class Sites:
         self._reports.note(
             Level.INFO,
             "site_clock",
-            f"site {name}: its clock is {offset_text(offset_ns)} ahead of our clock, ±{duration_text(error_ms * 1e6)}",
+            f"site {name}: its clock is {clock_text(offset_ns)} ahead of our clock, ±{duration_text(error_ms * 1e6)}",
             data={"site": name, "offset_s": offset_ns / NS_PER_S, "error_s": error_ns / NS_PER_S},
         )
         gids = self._gids(site.zid)

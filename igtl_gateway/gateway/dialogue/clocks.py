@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from igtl_gateway.base.globs import matches
-from igtl_gateway.base.quantities import offset_text
+from igtl_gateway.base.quantities import clock_text
 from igtl_gateway.gateway.log.clock_offset import (
     ANSWERS,
     DEVICE,
@@ -138,7 +138,7 @@ def _no_clock(peer: Peer, text: str, subject: str | None = None) -> Finding:
 
 def _finding(peer: Peer, shown: ClockStep | NoClock) -> Finding:
     if isinstance(shown, ClockStep):
-        low, high = offset_text(shown.low_ns), offset_text(shown.high_ns)
+        low, high = clock_text(shown.low_ns), clock_text(shown.high_ns)
         text = (
             f"{peer.address}: a clock was set, that of the peer or of this host: its offset changed by {low} to {high}"
         )

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from ipaddress import ip_address
 from typing import Any
 
-from igtl_gateway.base.quantities import duration_text
-from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
+from igtl_gateway.base.quantities import clock_text, duration_text
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.timing import rounded_to
 
 #: Device of the questions for a clock, and the streams of questions and answers.
@@ -43,8 +43,6 @@ _MANY, _MANY_NS = 7, 60 * NS_PER_S
 _STILL = 5
 #: After a step of this host's clock, gateway time may stand, and then advances by nanoseconds only.
 _QUIET_NS = NS_PER_S // 10
-#: Offsets above are shown in seconds.
-_LONG_MS = 10_000
 #: Questions without an answer that are remembered of a link.
 _MOST_WAITING = 8
 
@@ -104,9 +102,7 @@ class Offset:
         return f"clock ahead by {self}, by its answers{drift}"
 
     def __str__(self) -> str:
-        ms = self.middle_ns / NS_PER_MS
-        text = f"{ms:+,.3f} ms" if abs(ms) < _LONG_MS else f"{ms / 1_000:+,.3f} s"
-        return f"{text} ± {duration_text(self.bound_ns)}"
+        return f"{clock_text(self.middle_ns)} ± {duration_text(self.bound_ns)}"
 
 
 @dataclass(frozen=True, slots=True)

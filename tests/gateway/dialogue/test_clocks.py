@@ -131,7 +131,7 @@ def test_a_step_of_20_ms_has_a_note_within_three_seconds() -> None:
     assert note.code == "peer_clock_step" and note.stream == ANSWERS and note.data["peer"] == "10.0.0.7:5"
     assert note.data["low_ns"] <= 20 * NS_PER_MS <= note.data["high_ns"]
     assert note.text == (
-        "10.0.0.7:5: a clock was set, that of the peer or of this host: its offset changed by +15 ms to +25 ms"
+        "10.0.0.7:5: a clock was set, that of the peer or of this host: its offset changed by +14.999 ms to +25.001 ms"
     )
 
 
