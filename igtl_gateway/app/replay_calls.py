@@ -50,6 +50,9 @@ _STATUS_TYPE, _CANCEL_TYPE = "action_msgs/msg/GoalStatusArray", "action_msgs/srv
 _UNRECORDED = "requests that the recording has no answer to"
 _OPEN = "goals that did not end before the replay"
 _NO_RESPONSE = "requests without a response"
+_NO_GOAL = "requests about goals that were not sent"
+#: In the request of a cancellation: all goals.
+_ALL_GOALS = bytes(16)
 
 OnLine = Callable[[str], None]
 
@@ -291,6 +294,8 @@ class SentCalls:
         self._callers: dict[str, Caller] = {}
         self._called: list[str] = []
         self._refused: dict[str, str] = {}
+        self._begun = {_ALL_GOALS}
+        self._without_goal: Counter[str] = Counter()
         goals: dict[str, dict[bytes, bytes]] = {}
         for topic in topics:
             action, part = action_of(topic) or ("", "")
@@ -343,7 +348,17 @@ class SentCalls:
             event = ServiceEvent.unpack(entry.data())
         except ConversionError:
             return False
-        return event.kind == self._kinds[entry.channel][0] and event.has_request
+        return event.kind == self._kinds[entry.channel][0] and event.has_request and self._has_goal(entry, event)
+
+    def _has_goal(self, entry: Entry, event: ServiceEvent) -> bool:
+        """Whether a request is about no goal, or about one of this replay: no server knows a recorded id."""
+        part = (action_of(entry.channel) or ("", ""))[1]
+        if part == "send_goal":
+            self._begun.add(event.goal)
+        if not part or event.goal in self._begun:
+            return True
+        self._without_goal[entry.channel] += 1
+        return False
 
     def send(self, entry: Entry) -> bool:
         self._callers[entry.channel].call(entry.data())
@@ -357,8 +372,8 @@ class SentCalls:
 
     def counts(self) -> Mapping[str, CallCounts]:
         found = {}
-        for each in self._callers.values():
-            left = each.sent - each.answered
-            if each.sent:
-                found[each.name] = CallCounts(each.answered, "response", {_NO_RESPONSE: left} if left else {})
+        for topic, each in self._callers.items():
+            left = {_NO_RESPONSE: each.sent - each.answered, _NO_GOAL: self._without_goal[topic]}
+            if each.sent or left[_NO_GOAL]:
+                found[each.name] = CallCounts(each.answered, "response", {why: n for why, n in left.items() if n})
         return found

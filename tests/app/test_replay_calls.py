@@ -228,6 +228,16 @@ def test_requests_are_sent_at_their_times(tmp_path: Path) -> None:
     }
 
 
+def test_a_part_that_begins_within_goals_asks_nothing_about_them(tmp_path: Path) -> None:
+    calls, _, entries = begun("call", tmp_path / "a.mcap", FakeEdge())
+    sent = list(calls.select(entries[18:], Counter()))  # the first goal of four is before
+    assert all(map(calls.send, sent))
+    counts = ended(calls)
+    assert counts["/fib/_action/get_result"] == ("3 responses", {"requests about goals that were not sent": 1})
+    assert counts["/fib/_action/send_goal"] == ("3 responses", {})
+    assert counts["/fib/_action/cancel_goal"] == ("1 response", {})
+
+
 def test_servers_that_never_answer_and_that_are_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(replay_calls, "_LINGER_S", 0.05)
     calls, _, entries = begun("call", tmp_path / "a.mcap", FakeEdge(answers=False))
