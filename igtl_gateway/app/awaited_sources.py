@@ -15,6 +15,7 @@ from igtl_gateway.gateway.expected import (
     ExpectedSource,
     MissingSource,
     PresentSources,
+    is_known,
     missing_sources,
 )
 from igtl_gateway.gateway.log.note import Note
@@ -84,7 +85,7 @@ class AwaitedSources:
     def _there(self, absent: dict[ExpectedSource, MissingSource], present: PresentSources) -> None:
         """Take those that are there now; one whose leaving does not show is not looked for any more."""
         for source in self._expected:
-            if source in absent or present.names(source.kind) is None:
+            if source in absent or not is_known(source, present):
                 continue
             self._came.add(source)
             self._gone_ns.pop(source, None)

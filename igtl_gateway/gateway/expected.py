@@ -292,20 +292,26 @@ def missing_sources(expected: Iterable[ExpectedSource], present: PresentSources)
     found = []
     for source in expected:
         names = present.names(source.kind)
-        if names is None:
+        if names is None or not is_known(source, present):
             continue
         there = [name for name in names if _is_name_of(source, name)]
         if there:
             if why := _unfit(source, there, names, present):
                 found.append(MissingSource(source, why, is_there=True))
             continue
-        if source.kind == "peer" and _is_wild(source) and not present.connected:
-            continue  # an address that only a connected peer has
         near = _hidden_name(source.name, names) or nearest_name(source.name.strip(_WILD), names)
         if source.is_optional and not near:
             continue
         found.append(MissingSource(source, _absence(source, present), near))
     return found
+
+
+def is_known(source: ExpectedSource, present: PresentSources) -> bool:
+    """Return whether it can be seen if a source is there: an address of connected peers only if there are any."""
+    names = present.names(source.kind)
+    if names is None or source.kind != "peer" or not _is_wild(source) or present.connected:
+        return names is not None
+    return any(_is_name_of(source, name) for name in names)
 
 
 def _hidden_name(name: str, names: Names) -> str:

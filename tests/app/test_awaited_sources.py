@@ -76,6 +76,14 @@ def test_a_peer_that_has_just_come_is_not_missed() -> None:
     assert bridge.notes[-1].text == "device Prob: no peer sends anything (to_ros[0])"
 
 
+def test_an_address_that_only_a_connected_peer_has_neither_comes_nor_leaves_without_one() -> None:
+    bridge = Bridge(expected_sources(Config(), clock_from=["10.0.0.1:*"]))
+    for peers, second, missing in (((), 8, []), (("192.168.7.4:4",), 16, ["10.0.0.1:*"]), ((), 24, [])):
+        bridge.present = PresentSources(topics=(), devices=None, peers=peers, connected=len(peers))
+        assert bridge.until(second) == missing
+    assert [note.text for note in bridge.notes] == ["peer 10.0.0.1:*: no such peer (--clock-from)"]
+
+
 def test_a_source_that_comes_late_withdraws_its_line_and_one_that_leaves_is_missed_again() -> None:
     bridge = Bridge()
     assert bridge.until(7) == ["/tol"]
