@@ -185,11 +185,15 @@ def bridge_options(
 
 
 def _check_peers(config: Config, places: Sequence[Address]) -> None:
-    """Raise ConfigError for the profile of a port that no link has; a host has many names, and port 0 is any."""
+    """Raise ConfigError for the profile of an address that no link has: another port, or none.
+
+    A host has many names, and port 0 is any.
+    """
     ports = {port for _, port in places}
     for row in config.peers:
         port = whole_number(row.at.rpartition(":")[2])
-        if port is not None and port not in ports and 0 not in ports:
+        is_absent = port not in ports and 0 not in ports if port is not None else not set(row.at) & set(":*?[")
+        if is_absent:
             usual = ", ".join(f"{host}:{port}" for host, port in places)
             raise ConfigError(f"--peer: found {row.at}, expected an address of --listen or --connect: {usual}")
 

@@ -183,6 +183,7 @@ def test_a_slice_needs_one_output(capsys: pytest.CaptureFixture[str]) -> None:
             "bridge --no-ros --connect plus:18944 --peer plus:18945=plus",
             "--peer: found plus:18945, expected an address of --listen or --connect: plus:18944",
         ),
+        ("bridge --no-ros --peer 127.0.0.1=plus", "expected an address of --listen or --connect: 127.0.0.1:18944"),
         ("bridge --no-ros --listen 127.0.0.1:0 --page --page-address 0.0.0.0:0", "expected --allow NETWORK"),
         ("export STAR --to csv -o OUT.mcap", "-o: found '"),
         (
