@@ -14,7 +14,7 @@ from igtl_gateway.base.quantities import count_text, counted, duration_text
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.convert.names import MAX_DEVICE_NAME, topic_token
 from igtl_gateway.doctor.observations import ObservedPeer, ObservedStream
-from igtl_gateway.doctor.observer import MAX_STREAMS, Observer
+from igtl_gateway.doctor.observer import MAX_STREAMS, ORTHONORMAL, Observer
 from igtl_gateway.doctor.protocols import is_openigtlink, protocol_of
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.wire.deviations import READ
@@ -448,7 +448,8 @@ def not_rotations(stream: ObservedStream) -> str:
 
 
 def not_unit(stream: ObservedStream) -> str:
-    text = f"the quaternion of {many(stream.not_unit)} has a length of {stream.shortest:.3g}, not 1"
+    length = stream.shortest if 1 - stream.shortest > ORTHONORMAL else stream.longest
+    text = f"the quaternion of {many(stream.not_unit)} has a length of {length:.3g}, not 1"
     return text if stream.shortest else f"{text}: no rotation; pygtlink 1.0.0 sends 0 unless one is given"
 
 

@@ -108,7 +108,8 @@ class ObservedStream:
         not_finite: number of messages with NaN or infinity.
         not_orthonormal, mirrored: number of messages with an invalid rotation, or a reflection.
         by_rows: of the invalid rotations, number of those that are valid if the matrix is read row by row.
-        not_unit, shortest: number of messages with a quaternion whose length is not 1, and the smallest length.
+        not_unit: number of messages with a quaternion whose length is not 1.
+        shortest, longest: the smallest and the largest length.
         denormal, denormal_value: number of messages with a denormal number, and the first one.
         timing, fractions, lengths: statistics of stamps and lengths.
     """
@@ -143,6 +144,7 @@ class ObservedStream:
     by_rows: int = 0
     not_unit: int = 0
     shortest: float = 1.0
+    longest: float = 1.0
     denormal: int = 0
     denormal_value: float = 0.0
     timing: StampTiming = field(default_factory=StampTiming)

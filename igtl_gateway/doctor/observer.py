@@ -270,6 +270,7 @@ class Observer:
             lengths = np.linalg.norm(measured.quaternions, axis=1)
             stream.not_unit += bool((np.abs(lengths - 1) > ORTHONORMAL).any())
             stream.shortest = min(stream.shortest, float(lengths.min()))
+            stream.longest = max(stream.longest, float(lengths.max()))
         for numbers in (measured.positions, measured.rotations, measured.quaternions):
             if found := denormal_of(numbers, LEAST_FLOAT32):
                 stream.denormal += 1

@@ -30,7 +30,10 @@ def _is_http2(head: bytes) -> bool:
 #: Name of a protocol, and the test of its first bytes; the first match counts.
 PROTOCOLS: tuple[tuple[str, Callable[[bytes], bool]], ...] = (
     ("SSH", _begins(b"SSH-")),
-    ("HTTP (a web server, a ROS 1 master, rosbridge or Foxglove)", _begins(b"HTTP/", b"<!DOCTYPE", b"<html", b"<?xml")),
+    (
+        "HTTP (a web server, a WebSocket, a ROS 1 master, rosbridge or Foxglove)",
+        _begins(b"HTTP/", b"<!DOCTYPE", b"<html", b"<?xml"),
+    ),
     (
         "an HTTP client (a browser, a WebSocket)",
         _begins(b"GET /", b"POST /", b"HEAD /", b"PUT /", b"OPTIONS ", b"CONNECT ", b"PRI * "),

@@ -284,6 +284,11 @@ def test_the_text_has_the_found_values() -> None:
         (lambda: scene().receive(by_rows(), kind="TDATA"), "W504", "openigtlink-rust"),
         (lambda: images(scene(), [0.0, 1.0]), "W506", "spacing of 0 mm in 1 of 2 images: C++ senders"),
         (lambda: scene().receive(Position((1.0, 2.0, 3.0), (0.0,) * 4), kind="POSITION"), "W509", "pygtlink"),
+        (
+            lambda: scene().receive(Position((1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 2.0)), kind="POSITION"),
+            "W509",
+            "of 2, not",
+        ),
         (lambda: scene().receive(Raw(b"TRANSFORMSTRING"), kind="CAPABILITY"), "E210", "OpenIGTLink-Java"),
     ],
 )
