@@ -10,6 +10,7 @@ from igtl_gateway.base.once import Once
 from igtl_gateway.gateway import FAULT
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.wire.fields import visible
 
 #: Called with level, text and time (UTC ns).
 Log = Callable[[Level, str, int], None]
@@ -42,7 +43,7 @@ class RosLog:
         note = Note.unpack(entry.data())
         if is_routine(note):  # before it counts as the first of a cause
             return
-        if (note.level is Level.INFO and note.code != FAULT) or self._once.first(note.code, note.stream):
+        if (note.level is Level.INFO and note.code != FAULT) or self._once.first(note.code, note.subject):
             event = self._rate.take(Event(entry.stamp_ns, entry.kind, note, entry.links))
             if event:
                 self._waiting.append(event)
@@ -55,5 +56,7 @@ class RosLog:
 
 
 def note_text(note: Note, links: tuple[int, ...]) -> str:
-    """Return a note as the terminal and the log of the node have it."""
-    return f"{note.text} [link {', '.join(map(str, links))}]" if links else note.text
+    """Return a note as the terminal and the log of the node have it; a warning has its stream, if not in the text."""
+    is_named = note.level is Level.INFO or (note.stream.rpartition("/")[2] or note.stream) in note.text
+    places = [*([] if is_named else [visible(note.stream)]), *([f"link {', '.join(map(str, links))}"] if links else [])]
+    return f"{note.text} [{', '.join(places)}]" if places else note.text

@@ -237,7 +237,7 @@ class TextOutput:
             first = self._firsts[cause]
             # notes without trouble were printed each time
             if number > 1 and (first.level is not Level.INFO or first.code == FAULT) and first.code not in _EACH:
-                print_line(f"  {count_text(number, 'time')}: {first.text}")
+                print_line(f"  {count_text(number, 'time')}: {note_text(first, ())}")
         if bridge.summary:
             summary = bridge.summary
             lost, left_out = sum(summary.dropped.values()), sum(summary.left_out.values())

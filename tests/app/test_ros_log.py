@@ -32,6 +32,22 @@ def test_faults_are_logged_once_and_states_always() -> None:
     ]
 
 
+def test_each_reason_is_logged_and_a_text_without_its_stream_gets_it() -> None:
+    lines: list[str] = []
+    log = RosLog(lambda _level, text, _stamp_ns: lines.append(text))
+    for number, reason in enumerate(("too many", "foreign", "foreign")):
+        log.add(entry(number, Note(Level.WARN, "refused", f"refused: {reason}", data={"reason": reason})))
+    log.add(entry(3, Note(Level.ERROR, "wire_error", "found version 4", "STRING/Tool"), 7))
+    log.add(entry(4, Note(Level.INFO, "stream", "found a stream", "STRING/Tool")))
+    log.flush()
+    assert lines == [
+        "refused: too many",
+        "refused: foreign",
+        "found version 4 [STRING/Tool, link 7]",
+        "found a stream",
+    ]
+
+
 def test_a_flood_costs_no_memory() -> None:
     lines: list[str] = []
     log = RosLog(lambda _level, text, _stamp_ns: lines.append(text))
