@@ -127,8 +127,9 @@ def uses_websocket(place: str | tuple[str, int]) -> bool:
 def origin(text: str) -> str:
     """Return an origin of web pages: ``http[s]://HOST[:PORT]``, ``null`` or ``*``."""
     scheme, found, host = text.partition("://")
-    plain = text in ("*", "null") or (found and scheme in ("http", "https") and bool(_HOST.fullmatch(host)))
-    if not plain:
+    parts = _HOST.fullmatch(host) if found and scheme in ("http", "https") else None
+    is_right = parts and (not parts[2] or whole_number(parts[2][1:], (1 << 16) - 1) is not None)
+    if text not in ("*", "null") and not is_right:
         raise ConfigError(f"found {text!r}, expected an origin such as https://viewer.clinic:8443, null or *")
     return text
 

@@ -60,7 +60,7 @@ def test_what_is_read(read: Callable[[str], object], text: str, value: object) -
         ),
         (
             notations.origin,
-            ("viewer", "http://", "http://a/", "ftp://a", "http://a:b", "https://a b", ""),
+            ("viewer", "http://", "http://a/", "ftp://a", "http://a:b", "http://a:65536", "https://a b", ""),
             "an origin such as https://viewer.clinic:8443, null or *",
         ),
         (notations.network, ("all", "10.0.0.0/64", ""), "a network such as 192.168.7.0/24, or any"),

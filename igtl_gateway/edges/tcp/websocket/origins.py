@@ -8,6 +8,8 @@ from urllib.parse import urlsplit
 
 #: Stands for every origin.
 ANY = "*"
+#: Ports that browsers leave out.
+_USUAL = {"http": ":80", "https": ":443"}
 
 
 class Origins:
@@ -22,7 +24,7 @@ class Origins:
     """
 
     def __init__(self, named: Sequence[str] = ()) -> None:
-        self._named = frozenset(each.lower() for each in named)
+        self._named = frozenset(map(_plain, named))
 
     def allow(self, origin: str | None, host: str) -> bool:
         """Return whether a page may connect.
@@ -31,12 +33,18 @@ class Origins:
             origin: as the browser gives it; None: no browser.
             host: where it connects to, as the header Host has it.
         """
-        if origin is None or ANY in self._named or origin.lower() in self._named:
+        if origin is None or ANY in self._named or _plain(origin) in self._named:
             return True
         theirs = _hostname(origin)
         return (
             theirs == "localhost" or _is_loopback(theirs) or (_is_numeric(theirs) and theirs == _hostname(f"//{host}"))
         )
+
+
+def _plain(origin: str) -> str:
+    """An origin as browsers write it: in lower case, without the usual port."""
+    origin = origin.lower()
+    return origin.removesuffix(_USUAL.get(origin.partition("://")[0], ""))
 
 
 def _hostname(address: str) -> str:

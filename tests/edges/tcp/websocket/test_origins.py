@@ -5,13 +5,15 @@ from __future__ import annotations
 from igtl_gateway.edges.tcp.websocket.origins import Origins
 from tests.tables import table
 
-NAMED = ("https://viewer.clinic", "http://viewer.clinic:8080", "null")
+NAMED = ("https://viewer.clinic", "http://viewer.clinic:8080", "https://Usual.clinic:443", "null")
 
 
 @table(
     ("origin", "host", "alone", "named"),
     [
         (None, "or1:18945", True, True),  # no browser
+        ("https://usual.clinic", "or1", False, True),  # a browser leaves the usual port out
+        ("http://usual.clinic", "or1", False, False),
         ("http://localhost:8000", "or1:18945", True, True),
         ("https://127.0.0.1", "or1", True, True),
         ("http://[::1]:8000", "or1", True, True),
