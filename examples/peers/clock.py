@@ -2,7 +2,7 @@
 
 python clock.py HOST [PORT]
 
-With 3D Slicer, run it beside it: `PythonSlicer clock.py HOST`.
+With 3D Slicer, run it beside it: `PythonSlicer clock.py HOST`.  It connects again until it is stopped.
 """
 
 import socket
@@ -24,7 +24,26 @@ def answer(host, port):
             if kind.rstrip(b"\0") == b"GET_STATUS":
                 stamp = (time.time_ns() << 32) // 1_000_000_000
                 link.sendall(HEADER.pack(1, b"STATUS", device, stamp, len(BODY), CRC) + BODY)
+    print(f"{host}:{port} has closed the connection; trying again", flush=True)
+
+
+def run(host, port):
+    before = None
+    while True:
+        try:
+            answer(host, port)
+            before = None
+        except OSError as error:
+            if str(error) != before:
+                print(f"{host}:{port}: {error}; trying again", flush=True)
+            before = str(error)
+        time.sleep(1)
 
 
 if __name__ == "__main__":
-    answer(sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 18944)
+    if len(sys.argv) not in (2, 3) or not all(port.isdecimal() for port in sys.argv[2:]):
+        sys.exit("usage: python clock.py HOST [PORT]")
+    try:
+        run(sys.argv[1], int((sys.argv[2:] or ["18944"])[0]))
+    except KeyboardInterrupt:
+        pass

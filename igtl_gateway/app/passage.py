@@ -100,7 +100,7 @@ class StreamReports:
             states: (direction, stream) → "" or why Python passes it, of compiled streams.
         """
         found = {
-            (direction, stream): _NOT_COMPILED.get(stream.partition("/")[0], "its type has no fast one")
+            (direction, stream): _NOT_COMPILED.get(stream.partition("/")[0], "its type or profile has no fast one")
             for direction in _DIRECTIONS_IN
             for stream in self._ledger.streams(direction)
             if (direction, stream) not in self._native

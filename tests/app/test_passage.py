@@ -37,7 +37,7 @@ def test_a_stream_is_reported_once_and_again_when_it_becomes_native() -> None:
         *([] for _ in range(4)),
         [
             "POLYDATA/Model takes the slower way: surfaces have no fast one",
-            "SENSOR/Force takes the slower way: its type has no fast one",
+            "SENSOR/Force takes the slower way: its type or profile has no fast one",
             "TRANSFORM/Tool takes the slower way: /tf waits",
         ],
         [],

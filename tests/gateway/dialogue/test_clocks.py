@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from examples.peers import clock
 from examples.peers.clock import BODY, CRC, HEADER
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.config.configuration import Config
@@ -186,3 +190,21 @@ def test_a_session_verifies_and_so_does_its_middle(tmp_path: Path) -> None:
     for start, late in ((middle, 0), (middle + 2, 1)):  # before a question, and between it and its answer
         part = verify(entries[start:], Config.from_dict(config), DeclaredLosses(midway=True), before=before)
         assert part.good and part.late == late and part.equal > 10
+
+
+def test_the_example_connects_again_and_prints_each_cause_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    refused = OSError("refused")
+    ends = iter([refused, refused, None, refused, KeyboardInterrupt()])
+
+    def answer(_host: str, _port: int) -> None:
+        if (end := next(ends)) is not None:
+            raise end
+
+    example: Any = clock
+    monkeypatch.setattr(example, "answer", answer)
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    with pytest.raises(KeyboardInterrupt):
+        example.run("or1", 18944)
+    assert capsys.readouterr().out == 2 * "or1:18944: refused; trying again\n"
