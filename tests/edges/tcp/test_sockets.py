@@ -102,7 +102,9 @@ def test_who_does_not_read_is_no_dead_one_and_what_he_has_not_is_known(world: Wo
                 sent += sock.send(bytes(1 << 16))
         threading.Event().wait(0.7)  # the system asks whether there is room now, and is answered that there is none
         assert unanswered_s(sock) == 0.0
-        assert 0 < unconfirmed_bytes(sock) < sent
+        assert 0 < (unconfirmed := unconfirmed_bytes(sock)) < sent
+        sock.shutdown(socket.SHUT_WR)
+        assert unconfirmed_bytes(sock) == unconfirmed  # the end is no byte of a message
         received = 0
         while received < sent:
             received += len(peer.sock.recv(1 << 20))
