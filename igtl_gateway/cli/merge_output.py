@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from igtl_gateway.base.quantities import clock_text, duration_text
+from igtl_gateway.base.quantities import clock_text, count_text, duration_text
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.cli.terminal import aligned, print_line
 from igtl_gateway.record.sessionfile.merged import Method
@@ -45,11 +45,22 @@ def _remarks(facts: Mapping[str, Any]) -> Iterator[str]:
     for text in facts.get("reported", ()):
         yield f"reported by {text}"
     for part in facts["parts"]:
+        if changes := _changes(part["clock"]):
+            yield (
+                f"the clock of {part['name']} was set, or its rate changed, {count_text(changes, 'time')}: "
+                "the offset is that in the middle of the session"
+            )
         if part.get("sealed_by"):
             yield (
                 f"{part['file']} is sealed.  Its seal is about the bytes of that file and is not in this one: "
                 f"keep the file; its SHA-256 is {part['sha256']}"
             )
+
+
+def _changes(clock: Mapping[str, Any]) -> int:
+    """Return how often the offset of a clock changed; 0 where a damaged file has no lines."""
+    chain = clock.get("chain")
+    return sum(len(lines) - 1 for lines in chain if isinstance(lines, list) and lines) if isinstance(chain, list) else 0
 
 
 def _method(clock: Mapping[str, Any]) -> str:

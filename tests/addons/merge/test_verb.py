@@ -119,6 +119,16 @@ def test_offset_from_what_moves(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert abs(clock["offset_s"] - 0.123) < 0.005
 
 
+def test_a_clock_that_was_set_has_no_single_offset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sources = record(World(seconds=8, step_s=5.0), tmp_path, 1).sources
+    out = tmp_path / "both.mcap"
+    assert main(["merge", *(str(source.path) for source in sources), "-o", str(out)]) == 0
+    remark = "the clock of r1 was set, or its rate changed, 1 time: the offset is that in the middle of the session"
+    assert remark in " ".join(capsys.readouterr().out.split())
+    assert main(["info", str(out)]) == 0
+    assert remark in " ".join(capsys.readouterr().out.split())
+
+
 def test_what_a_part_reported_is_stated_wherever_the_merged_session_is_read(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
