@@ -133,7 +133,7 @@ RULES: tuple[Rule, ...] = (
         "bytes cannot be one",
         each_stream(
             lambda one: one.misfits,
-            lambda one: f"the body of {checks.many(one.misfits)} of header version {min(one.versions)} is of the other",
+            lambda one: f"the body of {checks.many(one.misfits)} of version {min(one.versions)} is that of the other",
         ),
     ),
     Rule(

@@ -33,7 +33,7 @@ _TCP_INFO = struct.Struct("=3xB4x16xI28xI")
 _PROBES = 3
 _SIOCOUTQ = 0x5411
 #: States of a connection whose end was sent and is not confirmed (FIN_WAIT1, LAST_ACK, CLOSING): it counts as a byte.
-_END_UNCONFIRMED = (4, 9, 11)
+_END_UNCONFIRMED = (b"\x04", b"\x09", b"\x0b")
 #: Bytes that a peer may send ahead.  Linux begins with 128 KiB, and a peer with a large message would stop and go.
 _AHEAD_BYTES = 4 << 20
 
@@ -102,7 +102,7 @@ def unconfirmed_bytes(sock: Descriptor) -> int:
 
     try:
         count = int.from_bytes(fcntl.ioctl(sock, _SIOCOUTQ, bytes(4)), sys.byteorder)
-        state = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 1)[0]
+        state = sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 1)
         return max(0, count - (state in _END_UNCONFIRMED))
     except OSError:
         return 0
