@@ -30,6 +30,7 @@ from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.tcp import LinkCounters, TcpEdge
+from igtl_gateway.edges.tcp.sockets import address_text
 from igtl_gateway.gateway.dialogue.probing import REPLAY_REPLY, REPLY_DEVICE
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Note
@@ -154,7 +155,7 @@ def _open_igtl(
     stack.callback(edge.stop)
     for address in options.listen:
         host, port = edge.listen(*address, tls=address in options.tls_listen, websocket=uses_websocket(address))
-        tell(f"OpenIGTLink server on {host}:{port}")
+        tell(f"OpenIGTLink server on {address_text((host, port))}")
     for address in options.connect:
         edge.connect(*address, tls=address in options.tls_connect)
     edge.start()

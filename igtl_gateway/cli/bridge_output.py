@@ -25,6 +25,7 @@ from igtl_gateway.cli.type_tables import mapping, profiles
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.notations import uses_websocket
 from igtl_gateway.edges.interface import DISCOVERY_NS
+from igtl_gateway.edges.tcp.sockets import address_text
 from igtl_gateway.gateway import FAULT
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.expected import NO_SOURCE
@@ -158,11 +159,11 @@ class TextOutput:
         for (host, port), asked in zip(bridge.addresses, bridge.options.listen, strict=True):
             tls = ", TLS" if asked in bridge.options.tls_listen else ""
             websocket = ", WebSocket" if uses_websocket(asked) else ""
-            print_line(f"OpenIGTLink  server on {host}:{port}{websocket}{tls}")
+            print_line(f"OpenIGTLink  server on {address_text((host, port))}{websocket}{tls}")
         how = "one connection per client (--relay)" if config.relay else "reconnects until stopped"
         for host, port in bridge.options.connect:
             tls = ", TLS" if (host, port) in bridge.options.tls_connect else ""
-            print_line(f"OpenIGTLink  client of {host}:{port}{tls}, {how}")
+            print_line(f"OpenIGTLink  client of {address_text((host, port))}{tls}, {how}")
         off = "--relay" if config.relay else "--no-ros"
         print_line(f"ROS 2        node {bridge.ros.full_name}" if bridge.ros else f"ROS 2        off ({off})")
         for note in notes:

@@ -12,6 +12,7 @@ from igtl_gateway.app.note_rate import Event, NoteRate
 from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.cli.bridge_output import JsonOutput, TextOutput
 from igtl_gateway.cli.bridge_run import _Show
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway import TICK
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
@@ -35,7 +36,7 @@ def test_a_device_name_writes_no_lines_and_no_escape_sequences(capsys: pytest.Ca
 def test_each_clock_that_was_set_has_a_line(code: str, capsys: pytest.CaptureFixture[str]) -> None:
     out = TextOutput(terminal=False)
     for text in ("the first", "another"):
-        out.events([Event(0, Kind.NOTE, Note(Level.WARN, code, text, "STATUS/igtl_clock"), ())])
+        out.events([Event(0, Kind.NOTE, Note(Level.WARN, code, text), ())])
     assert capsys.readouterr().out == "? the first\n? another\n"
 
 
@@ -65,3 +66,14 @@ def test_an_event_that_is_told_is_in_the_state_already() -> None:
     show._session = session
     show.update(session)
     assert calls == ["taken", "state", "told"]
+
+
+def test_an_address_of_ipv6_has_brackets(capsys: pytest.CaptureFixture[str]) -> None:
+    options: Any = SimpleNamespace(
+        listen=[("::1", 0)], tls_listen=(), connect=[("fe80::7", 18945)], tls_connect=(), record=None,
+        recording=SimpleNamespace(triggers=()), limits=SimpleNamespace(bodies=()),
+    )  # fmt: skip
+    bridge: Any = SimpleNamespace(addresses=[("::1", 18944)], options=options, ros=None, native_off="")
+    TextOutput(terminal=False).started(bridge, Config(), [], None)
+    shown = capsys.readouterr().out
+    assert "server on [::1]:18944\n" in shown and "client of [fe80::7]:18945, reconnects" in shown
