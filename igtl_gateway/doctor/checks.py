@@ -119,8 +119,8 @@ _TLS_WORDS = re.compile(r"TLS|certificate|cipher")
 def no_listener(observed: Observer) -> Iterator[RuleMatch]:
     noted, expected = observed.notes.get("connect_failed"), observed.expected
     if noted and not observed.peers and (expected is None or expected.role == "client") and not any(no_tls(observed)):
-        data = noted.first.data
-        yield RuleMatch(str(data.get("peer", "")), f"no server at {data.get('peer')}: {data.get('reason')}")
+        for server, first in observed.subjects["connect_failed"].items():
+            yield RuleMatch(server, f"no server at {server}: {first.first.data.get('reason')}")
 
 
 def no_tls(observed: Observer) -> Iterator[RuleMatch]:
@@ -142,7 +142,7 @@ def no_client(observed: Observer) -> Iterator[RuleMatch]:
 
 
 def refused(observed: Observer) -> Iterator[RuleMatch]:
-    for reason, noted in observed.refusals.items():
+    for reason, noted in observed.subjects["refused"].items():
         yield RuleMatch(
             str(noted.first.data.get("peer", "")), noted.first.text, {"count": noted.count, "reason": reason}
         )

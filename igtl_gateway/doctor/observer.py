@@ -33,8 +33,8 @@ from igtl_gateway.wire.registry import BODIES, read_content
 
 #: Maximum number of streams, links and topics: sessions have dozens, but a peer can send a new name each time.
 MAX_STREAMS = 2_000
-#: Maximum number of reasons of refusals; the gateway has fewer.
-MAX_REASONS = 50
+#: Maximum number of reasons of refusals, and of servers.
+MAX_SUBJECTS = 50
 #: Maximum number of names that are kept of one stream.
 MAX_KEPT = 100
 #: Number of messages of a topic of ROS whose numbers are looked at: a sender's type error is in all of them.
@@ -72,7 +72,7 @@ class Observer:
         too_many_streams: whether there are more streams or links than are observed.
         published: ROS topic → type that the gateway publishes.
         notes: notes of edges and gateway, by code; begin and end of links are in ``peers``.
-        refusals: those of refused connections, by reason: each has its own remedy.
+        subjects: those of refused connections, by reason, and of servers that were not there: each has its own remedy.
         sources: what of the configuration is there.
         graph: publishers and subscriptions in ROS that concern the gateway; None if not observed.
         damage: damage of the recording itself; "" without damage.
@@ -92,7 +92,7 @@ class Observer:
         self.too_many_streams = False
         self.published: dict[str, str] = {}
         self.notes: dict[str, NoteCount] = {}
-        self.refusals: dict[str, NoteCount] = {}
+        self.subjects: dict[str, dict[str, NoteCount]] = {"refused": {}, "connect_failed": {}}
         self.sources = ObservedSources(config)
         self.graph: Graph | None = None
         self.damage = ""
@@ -156,8 +156,8 @@ class Observer:
     def _noted(self, entry: Entry) -> None:
         note = Note.of(entry.data())
         self.notes.setdefault(note.code, NoteCount(0, note)).count += 1
-        if note.code == "refused" and (note.subject in self.refusals or len(self.refusals) < MAX_REASONS):
-            self.refusals.setdefault(note.subject, NoteCount(0, note)).count += 1
+        if (found := self.subjects.get(note.code)) is not None and (note.subject in found or len(found) < MAX_SUBJECTS):
+            found.setdefault(note.subject, NoteCount(0, note)).count += 1
         self.sources.noted(note)
         if step := ClockStep.of(entry):
             self._ahead_ns = step.ahead_ns

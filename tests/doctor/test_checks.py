@@ -310,6 +310,14 @@ def test_what_deviates_and_is_read_is_a_warning_and_an_error_where_it_was_refuse
     )
 
 
+def test_each_server_that_is_not_there() -> None:
+    made = Scene()
+    for server in ("a:1", "b:1", "a:1"):
+        made.note("connect_failed", peer=server, reason="refused")
+    texts = [finding.match.text for finding in judge(made.observed) if finding.rule.id == "IGTL-E101"]
+    assert texts == ["no server at a:1: refused", "no server at b:1: refused"]
+
+
 def test_each_reason_of_refusals_and_the_own_note_of_each_peer() -> None:
     made = Scene(SERVER)
     for reason in ("not in the allow-list", "page of a foreign origin", "page of a foreign origin"):
