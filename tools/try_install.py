@@ -151,21 +151,25 @@ def older_wheel(commit: str, folder: Path) -> Path:
 
 
 def faults_of_upgrade(older: Path, wheels: Path) -> Iterator[str]:
-    """Install an older wheel, record, upgrade, read; and with the older one read what the newer one wrote."""
+    """Install an older wheel, record, upgrade, read; and with the older one read what the newer one wrote.
+
+    The recording that they slice is one of the older version: rules of later ones that it states are not known to it.
+    """
+    recording = older.parent / "source" / Path(RECORDING).relative_to(ROOT)
     with tempfile.TemporaryDirectory() as name:
         place = Place(Path(name), wheels)
         (place.folder / "work").mkdir()
         for env in ("env", "old"):
             place.run(f"{{uv}} venv -q --seed {env}")
             yield from filter(None, [failure(place.run(f"{env}/bin/pip install -q {older}"))])
-        yield from _read(place, "old", f"slice {RECORDING} -o before.mcap --end 0.4", "verify before.mcap")
+        yield from _read(place, "old", f"slice {recording} -o before.mcap --end 0.4", "verify before.mcap")
         upgrade = "env/bin/pip install -q --upgrade --find-links {wheels} igtl-gateway"
         yield from filter(None, [failure(place.run(upgrade))])
         found = place.run("env/bin/igtl-gateway", "--version").stdout
         if f"igtl-gateway {__version__}" not in found:
             yield f"after the upgrade: found {found.splitlines()[:1]}, expected version {__version__}"
         yield from _not_recorded(place)
-        written = f"slice {RECORDING} -o after.mcap --end 0.4"
+        written = f"slice {recording} -o after.mcap --end 0.4"
         yield from _read(place, "env", "verify before.mcap", "info before.mcap", written, "diff before.mcap after.mcap")
         yield from _read(place, "old", "info after.mcap", "verify after.mcap")
 
