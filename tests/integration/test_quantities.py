@@ -19,7 +19,7 @@ _BY_HAND = re.compile(r"\{[^{}]*:[-+ <>^=]*[0-9]*,?(?:\.[0-9]+[fge]|,[0-9]*)?(?<
 #: File → the values in it that are right as they are.
 RIGHT_AS_IT_IS = {
     # the formatters
-    "igtl_gateway/base/quantities.py": 6,
+    "igtl_gateway/base/quantities.py": 8,
     # exact times, for who looks for this one sample
     "igtl_gateway/addons/exchange/scene_out.py": 2,
     "igtl_gateway/addons/lerobot": 40,
@@ -33,7 +33,7 @@ RIGHT_AS_IT_IS = {
     "igtl_gateway/addons/view/lag_drawing.py": 2,
     "igtl_gateway/config/faults.py": 1,
     "igtl_gateway/doctor/host_checks.py": 6,
-    "igtl_gateway/gateway": 10,
+    "igtl_gateway/gateway": 8,
     "igtl_gateway/replay/diff.py": 2,
 }
 
