@@ -23,7 +23,8 @@ REQUEST_SENT, REQUEST_RECEIVED, RESPONSE_SENT, RESPONSE_RECEIVED = range(4)
 #: Ends of goals in action_msgs/GoalStatus.
 OUTCOMES = {4: "succeeded", 5: "canceled", 6: "aborted"}
 
-_ENCAPSULATION, _ID = 4, 16
+#: Bytes of the encapsulation before the values of a message, and of the id of a goal.
+HEAD, ID = 4, 16
 # kind, seconds, nanoseconds, client, number; then both contents, each as a sequence of 0 or 1
 _INFO = {1: struct.Struct("<4xB3xiI16s4xq"), 0: struct.Struct(">4xB3xiI16s4xq")}
 _COUNT = {1: struct.Struct("<I"), 0: struct.Struct(">I")}
@@ -83,16 +84,16 @@ class ServiceEvent:
                 f"{counted(responses, 'response')}, expected a kind up to {RESPONSE_RECEIVED} and at most one of each"
             )
         # behind both counts a content begins at a multiple of 8 bytes, so it is aligned as in a message of its own
-        response = data[:_ENCAPSULATION] + data[info.size + 2 * count.size :] if responses else None
+        response = data[:HEAD] + data[info.size + 2 * count.size :] if responses else None
         at = info.size + count.size
-        goal = data[at : at + _ID] if requests else b""
+        goal = data[at : at + ID] if requests else b""
         return cls(kind, ros_to_ns(seconds, rest_ns), client, number, requests == 1, goal, response)
 
 
 def feedback_goal(cdr: Buffer) -> bytes:
     """Return the id of the goal of a feedback.  Raises ConversionError."""
-    goal = bytes(cdr[_ENCAPSULATION : _ENCAPSULATION + _ID])
-    if len(goal) < _ID:
+    goal = bytes(cdr[HEAD : HEAD + ID])
+    if len(goal) < ID:
         raise ConversionError(f"found {counted(len(cdr), 'byte')}, expected the feedback of a goal")
     return goal
 
@@ -101,15 +102,15 @@ def goal_states(cdr: Buffer) -> list[tuple[bytes, int]]:
     """Return id and status of each goal of an action_msgs/msg/GoalStatusArray.  Raises ConversionError."""
     data = bytes(cdr)
     order = data[1] if len(data) > 1 else 1
-    if data[:1] != b"\0" or order not in _COUNT or len(data) < _ENCAPSULATION + 4:
+    if data[:1] != b"\0" or order not in _COUNT or len(data) < HEAD + 4:
         raise ConversionError(f"found {counted(len(data), 'byte')}, expected the states of goals")
-    (count,) = _COUNT[order].unpack_from(data, _ENCAPSULATION)
+    (count,) = _COUNT[order].unpack_from(data, HEAD)
     found: list[tuple[bytes, int]] = []
-    at = _ENCAPSULATION + 4  # of a goal: an id, a time aligned to 4 bytes, and a byte
+    at = HEAD + 4  # of a goal: an id, a time aligned to 4 bytes, and a byte
     for _ in range(count):
-        end = (at + _ID + 3) // 4 * 4 + 8
+        end = (at + ID + 3) // 4 * 4 + 8
         if end >= len(data):
             raise ConversionError(f"found {counted(len(data), 'byte')}, expected {counted(count, 'state')} of goals")
-        found.append((data[at : at + _ID], data[end]))
+        found.append((data[at : at + ID], data[end]))
         at = end + 1
     return found

@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from igtl_gateway.base.stamp import ns_to_ros
-from igtl_gateway.convert.exchanges import OUTCOMES
-from igtl_gateway.replay.recorded_calls import HEAD, ID, GoalStep, RecordedAction, RecordedGoal
+from igtl_gateway.convert.exchanges import HEAD, ID, OUTCOMES
+from igtl_gateway.replay.recorded_calls import GoalStep, RecordedAction, RecordedGoal
 
 #: Goals that have ended whose results are kept; goals at a time.
 _KEPT, _MOST_GOALS = 100, 10_000

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.exchanges import (
     ACTION_SERVICES,
+    ID,
     REQUEST_RECEIVED,
     RESPONSE_SENT,
     ServiceEvent,
@@ -23,7 +24,6 @@ from igtl_gateway.gateway.log.entry import Entry
 
 #: Identifiers that are known at most; later ones are compared as they are.
 _MOST = 100_000
-_ID = 16
 
 
 def numbered_ids(entries: Iterable[Entry]) -> dict[bytes, str]:
@@ -55,7 +55,7 @@ def _ids(entry: Entry) -> Iterator[tuple[str, str, bytes]]:
             event = ServiceEvent.unpack(data)
             side = "server" if event.kind in (REQUEST_RECEIVED, RESPONSE_SENT) else "client"
             yield side, entry.channel, event.client
-            if part in ACTION_SERVICES and len(event.goal) == _ID:
+            if part in ACTION_SERVICES and len(event.goal) == ID:
                 yield "goal", action, event.goal
     except ConversionError:  # compared as it is
         return

@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING
 from igtl_gateway.base.errors import ConversionError, UnsupportedRecording
 from igtl_gateway.base.untrusted.dialects import RULE
 from igtl_gateway.convert.exchanges import (
+    HEAD,
+    ID,
     OUTCOMES,
     REQUEST_RECEIVED,
     REQUEST_SENT,
@@ -34,8 +36,6 @@ from igtl_gateway.replay.compare import ElementArray, LeafDecoder, Undecodable
 if TYPE_CHECKING:
     from igtl_gateway.base.untrusted.decoding import MessageDecoder
 
-#: Bytes of a request of an action: encapsulation, and the id of the goal behind it.
-HEAD, ID = 4, 16
 #: Of an event: where the content of its request begins, and the number of responses behind that.
 _REQUEST, _COUNT = 48, 4
 #: Kinds of events that belong together: as the client has them, which includes the way, or else as the server has them.

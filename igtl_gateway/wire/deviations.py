@@ -129,7 +129,7 @@ DEVIATIONS = (
     Deviation(
         _RUST,
         "TDATA has its matrices by rows",
-        "leaves out what is no pose (`not_a_pose`); `doctor` W504",
+        "leaves out tools without a valid pose (`not_a_pose`); `doctor` W504",
         "transpose: T, S, N and P one after the other",
     ),
     Deviation(

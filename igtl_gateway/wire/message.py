@@ -158,8 +158,6 @@ def decode(data: Buffer, *, check_crc: bool = True, reading: int = 0) -> Message
         raise explained(error, header, body, _content(header, body)) from None
 
 
-#: How an extended header begins: with its own size.
-_OWN_SIZE = struct.pack(">H", 12)
 #: What some programs write for protocol version 3.
 _NEXT_VERSION = 3
 
@@ -177,7 +175,7 @@ def _bare(header: Header, body: memoryview) -> Message | None:
     codec = BODIES.get(visible(header.type))
     if header.version == 1 or codec is None or body[:2] == _OWN_SIZE:
         return None
-    # any bytes fit a query without fields, and what is no query has a content
+    # any bytes fit a query without fields, and all types but queries have a content
     if codec is EmptyQuery if body.nbytes else split_query(header.type) is None:
         return None
     try:
@@ -230,13 +228,14 @@ def _decoded(header: Header, body: memoryview) -> Message:
 def metadata_of(data: Buffer) -> tuple[Item, ...]:
     """The metadata of a whole message, without its content; () in header version 1.  Raises what `decode` raises."""
     view = memoryview(data)
-    if Header.unpack(view).version == 1:
+    header = Header.unpack(view)
+    if header.version == 1:
         return ()
     body = view[HEADER_SIZE:]
     try:
         _, head, items = ExtendedHeader.unpack(body).split(body)
     except WireError:
-        if _bare(Header.unpack(view), body):
+        if _bare(header, body):
             return ()
         raise
     return _metadata(head, items)[0]
@@ -299,6 +298,8 @@ class ExtendedHeader:
 
 _EXTENDED = compile_struct(ExtendedHeader.LAYOUT)
 EXTENDED_SIZE = _EXTENDED.size
+#: How an extended header begins: with its own size.
+_OWN_SIZE = struct.pack(">H", EXTENDED_SIZE)
 #: Offset of the message id in a body of version 2.
 MESSAGE_ID_AT = offset_of(ExtendedHeader.LAYOUT, "message_id")
 

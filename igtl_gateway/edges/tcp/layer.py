@@ -44,7 +44,7 @@ class Layer(ABC):
         more: there might be received bytes that no system call reports; only ``recv_into`` returns them.
         begun: anything was received.
         shaken: our part of the handshake is complete, and the peer's verdict on it may follow.
-        received_bytes: what came over the wire, also what is no part of a message.
+        received_bytes: number of bytes that came over the wire behind the handshake, control frames included.
         has_left: the peer has announced that it neither sends nor reads any more.
         is_ending: what ends the conversation waits to be sent, with ``close`` at the latest.
         is_framed: a whole message needs no more than a frame of WebSocket before it, so the native passage can send.
